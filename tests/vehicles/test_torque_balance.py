@@ -1,4 +1,4 @@
-"""State-variable filter, recursive least squares and the torque balance, on synthetic truth with fixed seeds."""
+"""State-variable filter, recursive least squares and the torque balance, on synthetic data with fixed seeds."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_filter_gives_the_butterworth_response_and_its_derivatives_at_uneven_spa
 
 
 def test_filter_is_exact_from_its_first_sample() -> None:
-    # x = 2 + 3 t: the filtered derivative must equal 3 times the filtered constant at every instant, transient or not.
+    # x = 2 + 3 t: the filtered derivative must equal 3 times the filtered constant at every time, transient or not.
     svf = StateVariableFilter(1, 20.0)
     svf.start([2.0])
     for step in range(1, 200):
@@ -65,7 +65,7 @@ def test_filter_is_exact_from_its_first_sample() -> None:
     assert svf.outputs()[0, 1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_signals_sampled_at_other_instants_are_brought_to_one() -> None:
+def test_signals_sampled_at_different_times_are_aligned() -> None:
     early, late = StateVariableFilter(1, 30.0), StateVariableFilter(1, 30.0)
     early.start([0.0])
     late.start([0.0])
@@ -80,7 +80,7 @@ def test_signals_sampled_at_other_instants_are_brought_to_one() -> None:
 @pytest.mark.parametrize(
     ("bandwidth", "order", "what"), [(10.0, 1, "order 1"), (0.0, 4, "bandwidth 0"), (-1.0, 4, "-1")]
 )
-def test_a_filter_that_is_none_is_refused(bandwidth: float, order: int, what: str) -> None:
+def test_invalid_filter_order_or_bandwidth_is_refused(bandwidth: float, order: int, what: str) -> None:
     with pytest.raises(EstimationError, match=what) as caught:
         StateVariableFilter(1, bandwidth, order)
     assert caught.value.remedy
@@ -117,9 +117,9 @@ def test_recursion_agrees_with_batch_least_squares(parameters: list[float], seed
     assert (np.diagonal(solution.covariance) > 0.0).all()
 
 
-def test_standard_deviations_cover_the_truth_with_slow_disturbances() -> None:
+def test_confidence_intervals_cover_the_truth_with_slow_disturbances() -> None:
     # 40 records: 95 % intervals of 3 parameters; 120 correlated draws cover 88 to 100 % with near certainty. The
-    # textbook covariance, which takes residuals for independent, covers about half.
+    # textbook covariance, which assumes independent residuals, covers about half.
     covered, textbook = [], []
     for seed in range(40):
         solution = coloured_regression(seed, 1500, 0.95).solve()
@@ -130,7 +130,7 @@ def test_standard_deviations_cover_the_truth_with_slow_disturbances() -> None:
     assert np.mean(textbook) < 0.75
 
 
-def test_an_exact_equation_is_found_exactly() -> None:
+def test_noise_free_regression_is_solved_exactly() -> None:
     regression = RecursiveLeastSquares(2, lags=10)
     for step in range(50):
         regression.update(4.0 * step - 7.0, (step, 1.0))
@@ -139,7 +139,7 @@ def test_an_exact_equation_is_found_exactly() -> None:
     assert np.isfinite(solution.covariance).all()
 
 
-def test_a_direction_without_excitation_moves_nothing() -> None:
+def test_collinear_regressors_have_no_independent_movement() -> None:
     regression = RecursiveLeastSquares(3, lags=5)
     for step in range(100):
         regression.update(np.sin(step), (np.sin(step), -2.0 * np.sin(step), 1.0))
@@ -149,13 +149,13 @@ def test_a_direction_without_excitation_moves_nothing() -> None:
     assert solution.movement[2] > 0.9
 
 
-def test_without_a_sample_nothing_is_determined() -> None:
+def test_regression_without_samples_determines_no_parameter() -> None:
     solution = RecursiveLeastSquares(2, lags=3).solve()
     assert (solution.movement == 0.0).all()
     assert np.isfinite(solution.values).all()
 
 
-def test_products_are_not_formed_across_an_interruption() -> None:
+def test_lagged_products_are_not_formed_across_an_interruption() -> None:
     whole, parts = RecursiveLeastSquares(1, lags=1, order=1), RecursiveLeastSquares(1, lags=1, order=1)
     for step in range(20):
         if step % 2 == 0:
@@ -166,7 +166,7 @@ def test_products_are_not_formed_across_an_interruption() -> None:
     assert whole.solve().covariance[0, 0] != pytest.approx(parts.solve().covariance[0, 0], rel=1e-3)
 
 
-def test_an_autocovariance_is_never_continued_to_more_than_its_power() -> None:
+def test_extrapolated_autocovariance_never_exceeds_its_value_at_lag_zero() -> None:
     # A slow residual with rounding-sized errors: its autoregressive process is unstable and would grow without bound.
     random = np.random.default_rng(11)
     for _ in range(50):
@@ -177,7 +177,7 @@ def test_an_autocovariance_is_never_continued_to_more_than_its_power() -> None:
         assert np.abs(continued).max() <= measured[0]
 
 
-def test_forgetting_follows_a_change_and_its_covariance_stays_bounded() -> None:
+def test_forgetting_tracks_a_change_and_its_covariance_stays_bounded() -> None:
     prior = Prior(values=np.array([1.0, 0.0]), std=np.array([5.0, 5.0]), residual_std=0.1)
     regression = RecursiveLeastSquares(2, memory=100.0, prior=prior)
     random = np.random.default_rng(3)
@@ -186,7 +186,7 @@ def test_forgetting_follows_a_change_and_its_covariance_stays_bounded() -> None:
         x = random.standard_normal()
         regression.update(slope * x + 1.0 + 0.1 * random.standard_normal(), (x, 1.0))
     assert regression.solve().values == pytest.approx((3.0, 1.0), abs=0.05)
-    for _ in range(20_000):  # nothing happens for 200 time constants
+    for _ in range(20_000):  # no excitation for 200 time constants
         regression.update(0.0, (0.0, 0.0))
     std = np.sqrt(np.diagonal(regression.solve().covariance))
     assert (std <= 5.0 * 1.0001).all()
@@ -206,7 +206,7 @@ def test_instruments_remove_the_bias_of_noisy_regressors() -> None:
     assert instrumental.solve().values[0] == pytest.approx(2.0, abs=0.1)
 
 
-def test_settings_that_cannot_work_are_refused_with_a_remedy() -> None:
+def test_unusable_regression_settings_are_refused() -> None:
     with pytest.raises(EstimationError, match="2 are too few for 3 regressors"):
         RecursiveLeastSquares(3, instruments=2)
     with pytest.raises(EstimationError, match="grow without bound"):
@@ -236,7 +236,7 @@ def estimates_of(method: Method, stamps: NDArray[np.int64], table: dict[str, Arr
 
 
 def errors(found: list[Estimate]) -> dict[str, tuple[Array, NDArray[np.bool_]]]:
-    """Relative errors (absolute of the static torque, N m) and whether the 95 % interval holds the truth."""
+    """Relative errors (absolute for the static torque, N m) and whether the 95 % interval contains the truth."""
     result = {}
     for name, truth in TRUTH.items():
         values = np.array([estimate.parameters[name].value for estimate in found], dtype=float)
@@ -262,7 +262,7 @@ def test_sweep_gives_inertia_and_stiffness_within_one_percent(
     assert np.abs(errs["inertia"][0]).max() < 0.01
     assert np.abs(errs["gravity_stiffness"][0]).max() < 0.01
     assert np.abs(errs["static_torque.torque"][0]).max() < 2.0
-    # 9 intervals of 95 %: fewer than 7 right has a probability of 0.8 %
+    # 9 intervals of 95 %: fewer than 7 contain the truth with a probability of 0.8 %
     assert sum(inside.sum() for _, inside in errs.values()) >= 7
 
 
@@ -271,11 +271,11 @@ def test_step_from_rest_gives_inertia_and_stiffness_within_three_percent(method:
     errs = errors(estimates(method, 4, 8.0, from_support=True))
     assert np.abs(errs["inertia"][0]).max() < 0.03
     assert np.abs(errs["gravity_stiffness"][0]).max() < 0.03
-    # 12 intervals of 95 %: fewer than 9 right has a probability of 2e-4
+    # 12 intervals of 95 %: fewer than 9 contain the truth with a probability of 2e-4
     assert sum(inside.sum() for _, inside in errs.values()) >= 9
 
 
-def test_noise_on_the_gyro_biases_the_plain_form_and_not_the_instrumental_one() -> None:
+def test_gyro_noise_biases_the_plain_method_but_not_the_instrumental_one() -> None:
     noisy = small_vehicle.Truth(gyro_density=20 * 3.5e-5)
     stamps, table = small_vehicle.run(2, 31.0, noisy, reference=sweep_in(30.0))
     plain = errors(estimates_of(Method.PLAIN, stamps, table))["inertia"][0]
@@ -284,13 +284,13 @@ def test_noise_on_the_gyro_biases_the_plain_form_and_not_the_instrumental_one() 
     assert np.abs(instrumental).max() < 0.02
 
 
-def test_alignment_survives_other_rates_and_jitter() -> None:
+def test_alignment_works_at_another_sample_rate_and_with_jitter() -> None:
     errs = errors(estimates(Method.PLAIN, 2, 31.0, spacing=0.01, jitter=0.0005, reference=sweep_in(30.0)))
     assert np.abs(errs["inertia"][0]).max() < 0.01
     assert np.abs(errs["gravity_stiffness"][0]).max() < 0.02  # 100 Hz: 2.5 times the accelerometer's noise density
 
 
-def test_the_anchor_passes_its_uncertainty_on() -> None:
+def test_uncertainty_of_the_angular_momentum_propagates_to_the_inertia() -> None:
     stamps, table = small_vehicle.run(1, 21.0, reference=sweep_in(20.0))
     results = []
     for deviations in ({}, {"angular_momentum": 33.0}):
@@ -298,11 +298,11 @@ def test_the_anchor_passes_its_uncertainty_on() -> None:
         for frame in small_vehicle.frames(stamps, table, 0):
             estimator.update(frame)
         results.append(estimator.result().parameters["inertia"])
-    sharp, anchored = results
-    assert sharp.value == anchored.value
-    assert sharp.std is not None
-    assert anchored.value is not None
-    assert anchored.std == pytest.approx(np.hypot(sharp.std, 0.01 * anchored.value))
+    without_uncertainty, with_uncertainty = results
+    assert without_uncertainty.value == with_uncertainty.value
+    assert without_uncertainty.std is not None
+    assert with_uncertainty.value is not None
+    assert with_uncertainty.std == pytest.approx(np.hypot(without_uncertainty.std, 0.01 * with_uncertainty.value))
 
 
 def frames_of_a_sweep(duration: float = 16.0) -> list[Frame]:
@@ -316,12 +316,12 @@ def changed(frame: Frame, name: str, value: float) -> Frame:
     return replace(frame, values=tuple(values))
 
 
-def test_gaps_unknown_values_and_repeated_frames_do_no_harm() -> None:
+def test_gaps_unknown_values_and_repeated_frames_do_not_spoil_the_estimate() -> None:
     frames = frames_of_a_sweep()
     estimator = make(CAD, SUPPORT)
     for place, frame in enumerate(frames):
         if 1000 <= place < 1100:
-            continue  # the bus was away for 0.4 s
+            continue  # the bus was down for 0.4 s
         if place == 2000:
             frame = changed(frame, "precession_rate", float("nan"))
         estimator.update(frame)
@@ -335,7 +335,7 @@ def test_gaps_unknown_values_and_repeated_frames_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("value", [float("nan"), 0.3])
-def test_the_plain_form_takes_neither_excitation_nor_reference_nor_setpoint(value: float) -> None:
+def test_plain_method_ignores_excitation_reference_setpoint_and_phase(value: float) -> None:
     frames = frames_of_a_sweep()
     as_recorded, as_from_the_log = make(CAD, SUPPORT), make(CAD, SUPPORT)
     for frame in frames:
@@ -347,7 +347,7 @@ def test_the_plain_form_takes_neither_excitation_nor_reference_nor_setpoint(valu
     assert as_from_the_log.result() == as_recorded.result()
 
 
-def test_the_instrumental_form_says_that_it_lacks_the_excitation() -> None:
+def test_instrumental_method_reports_the_missing_excitation() -> None:
     estimator = make(CAD, SUPPORT, method=Method.INSTRUMENTAL)
     for frame in frames_of_a_sweep(4.0):
         estimator.update(changed(frame, "excitation", float("nan")))
@@ -359,9 +359,9 @@ def test_the_instrumental_form_says_that_it_lacks_the_excitation() -> None:
 
 
 @pytest.mark.parametrize("method", list(Method))
-def test_asked_at_every_row_it_never_gives_a_deviation_that_is_none(method: Method) -> None:
-    # Without noise the residual is hardly more than rounding: an unstable continuation of its autocovariance made
-    # variances of -1e18 and 1e14 here.
+def test_intermediate_results_never_have_an_invalid_standard_deviation(method: Method) -> None:
+    # Without noise the residual is little more than rounding error: an unstable extrapolation of its autocovariance
+    # gave variances of -1e18 and 1e14 here.
     quiet = small_vehicle.Truth(gyro_density=0.0, accelerometer_roll_std=0.0)
     stamps, table = small_vehicle.run(1, 3.0, quiet, reference=lambda time: 0.01 * float(np.sin(1.885 * time)))
     estimator = TorqueBalance(CAD, SUPPORT, method=method)
@@ -374,7 +374,7 @@ def test_asked_at_every_row_it_never_gives_a_deviation_that_is_none(method: Meth
 
 
 @pytest.mark.parametrize("variance", [-1e-9, float("inf"), float("nan")])
-def test_a_variance_that_is_none_becomes_a_reason(monkeypatch: pytest.MonkeyPatch, variance: float) -> None:
+def test_invalid_variance_is_reported_as_a_reason(monkeypatch: pytest.MonkeyPatch, variance: float) -> None:
     estimator = make(CAD, SUPPORT)
     for frame in frames_of_a_sweep():
         estimator.update(frame)
@@ -392,7 +392,7 @@ def test_a_variance_that_is_none_becomes_a_reason(monkeypatch: pytest.MonkeyPatc
     assert result.parameters["inertia"].std is None
 
 
-def test_what_happens_on_the_support_does_not_count() -> None:
+def test_samples_on_the_support_are_not_used() -> None:
     stamps, table = small_vehicle.run(1, 5.0, from_support=True)
     frames = list(small_vehicle.frames(stamps, table, 0))
     resting = [frame for frame in frames if frame.values[0] > np.radians(3.8)]
@@ -406,14 +406,14 @@ def test_what_happens_on_the_support_does_not_count() -> None:
     assert all(parameter.value is None and parameter.std is None for parameter in result.parameters.values())
 
 
-def test_nothing_seen_is_said_so() -> None:
+def test_result_without_samples_reports_that_there_was_no_control_cycle() -> None:
     result = make(CAD, SUPPORT).result()
     assert result.status is Status.TOO_FEW_SAMPLES
     assert "no control cycle" in result.reason
 
 
 @pytest.mark.parametrize(("method", "words"), [(Method.PLAIN, "independently"), (Method.INSTRUMENTAL, "injected")])
-def test_holding_still_is_too_little_excitation(method: Method, words: str) -> None:
+def test_standing_still_is_reported_as_too_little_excitation(method: Method, words: str) -> None:
     (result,) = estimates(method, 1, 10.0)
     assert result.status is Status.TOO_LITTLE_EXCITATION
     assert words in result.reason
@@ -423,7 +423,7 @@ def test_holding_still_is_too_little_excitation(method: Method, words: str) -> N
     assert not inertia.identifiable
 
 
-def test_a_gyro_of_the_wrong_sign_is_implausible_not_a_result() -> None:
+def test_gyro_with_the_wrong_sign_gives_an_implausible_status() -> None:
     estimator = make(CAD, SUPPORT)
     rate = MONOCAB.index_of("roll_rate")
     for frame in frames_of_a_sweep():
@@ -434,7 +434,7 @@ def test_a_gyro_of_the_wrong_sign_is_implausible_not_a_result() -> None:
     assert result.parameters["inertia"].value is None
 
 
-def test_reset_gives_the_same_numbers_again_bit_for_bit() -> None:
+def test_run_after_reset_is_identical_bit_for_bit() -> None:
     frames = frames_of_a_sweep(8.0)
     estimator = make(CAD, SUPPORT)
     for frame in frames:
@@ -447,17 +447,17 @@ def test_reset_gives_the_same_numbers_again_bit_for_bit() -> None:
     assert estimator.result() == first
 
 
-def test_a_trim_mass_out_of_its_middle_is_a_known_torque() -> None:
+def test_displaced_trim_mass_is_accounted_for_as_a_known_torque() -> None:
     stamps, table = small_vehicle.run(1, 21.0, reference=sweep_in(20.0))
     estimator = make(CAD, SUPPORT)
-    place = 40.0 / (9.81 * 500.0)  # so much that all of the static torque is the trim mass
+    place = 40.0 / (9.81 * 500.0)  # the trim mass alone causes all of the static torque
     for frame in small_vehicle.frames(stamps, table, 0):
         estimator.update(changed(frame, "trim_position", place))
     static = estimator.result().parameters["static_torque.torque"]
     assert static.value == pytest.approx(0.0, abs=2.0)
 
 
-def test_forgetting_keeps_up_and_stays_finite() -> None:
+def test_estimator_with_forgetting_finds_the_inertia_within_2_percent() -> None:
     estimator = TorqueBalance(CAD, SUPPORT, config=TorqueBalanceConfig(memory=5.0))
     for frame in frames_of_a_sweep():
         estimator.update(frame)
@@ -466,7 +466,7 @@ def test_forgetting_keeps_up_and_stays_finite() -> None:
 
 
 @pytest.mark.parametrize("name", ["inertia", "gravity_stiffness", "angular_momentum", "trim_mass"])
-def test_a_missing_parameter_is_named(name: str) -> None:
+def test_missing_parameter_is_named(name: str) -> None:
     with pytest.raises(EstimationError, match=name) as caught:
         make({key: value for key, value in CAD.items() if key != name}, SUPPORT)
     assert "vehicle file" in caught.value.remedy
@@ -477,7 +477,7 @@ def test_a_support_angle_that_leaves_no_free_range_is_refused() -> None:
         make(CAD, float(np.radians(0.2)))
 
 
-def test_estimates_become_json_without_nan() -> None:
+def test_estimate_json_has_null_instead_of_nan() -> None:
     document = make(CAD, SUPPORT).result().to_json()
     assert document["parameters"]["inertia"]["value"] is None
     assert document["parameters"]["inertia"]["identifiable"] is False

@@ -1,4 +1,4 @@
-"""The balancing robot: its equations against the energies and Kane's method, and what physics demands of them."""
+"""The balancing robot: its equations compared with the energies and Kane's method, and their physical properties."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ TABLE_3 = {
     "motor_friction": 8.153e-6,
     "wheel_friction": 0.00642,
 }
-"""The paper's result."""
+"""The parameters that the paper identified."""
 TILT_STD = 1.3e-3
-"""rad, as the tilt filter knows the tilt after some seconds."""
+"""rad, standard deviation of the tilt filter after some seconds."""
 FREE = {"armature_resistance": 1e15, "motor_friction": 0.0, "wheel_friction": 0.0}
 """Motors disconnected, no friction."""
 
@@ -65,12 +65,12 @@ def kernel() -> Kernel:
 
 @pytest.fixture(scope="module")
 def bare() -> Kernel:
-    """The same, with the tilt itself in place of what its filter shows."""
+    """The same with the true tilt as output, instead of the tilt that its filter estimates."""
     tilt, *others = TWSBR.outputs
     return compile_model(replace(TWSBR, outputs=(replace(tilt, expression="tilt"), *others)))
 
 
-# --- the equations, each way
+# --- the equations, derived independently
 
 
 def _slopes(model: Model) -> Callable[[Values], dict[str, float]]:
@@ -88,13 +88,13 @@ def _slopes(model: Model) -> Callable[[Values], dict[str, float]]:
 
 
 def _accelerations(slopes: dict[str, float]) -> Array:
-    """Of the wheels against the floor and of the body, from the model's, which are against the body."""
+    """Accelerations of the wheels relative to the floor, and of the body. The model's wheel rates are relative to it."""
     tilt = slopes["tilt_rate"]
     return np.array([slopes["left_wheel_rate"] + tilt, slopes["right_wheel_rate"] + tilt, tilt])
 
 
 def _draw(source: np.random.Generator) -> dict[str, float]:
-    """Any state, voltages and parameters."""
+    """A random state, voltages and parameters."""
     values = {p.name: p.value * source.uniform(0.5, 2.0) for p in TWSBR.base_parameters}
     values |= {name: source.uniform(-8.0, 8.0) for name in ("left_voltage", "right_voltage", "tilt_rate")}
     values |= {name: source.uniform(-30.0, 30.0) for name in ("left_wheel_rate", "right_wheel_rate")}
@@ -107,7 +107,7 @@ def _rates(values: Values) -> Array:
 
 
 def _lagrange(derived: Derivation) -> Callable[[Values], tuple[Array, Array]]:
-    """Mass matrix (3, 3) and forces less bias (3,) from the energies."""
+    """Mass matrix (3, 3) and forces minus bias (3,) from the energies."""
     matrices = (derived.mass, derived.forces - derived.bias)
     known = sorted(set().union(*(each.free_symbols for each in matrices)), key=str)
     function = sympy.lambdify(known, matrices, modules="numpy", cse=True)
@@ -122,7 +122,7 @@ def _lagrange(derived: Derivation) -> Callable[[Values], tuple[Array, Array]]:
 
 
 def _kane() -> Callable[[Values], Array]:
-    """Accelerations (3,) by Kane's method: rigid bodies on frames that turn, and no energies."""
+    """Accelerations (3,) by Kane's method: rigid bodies in rotating frames, without energies."""
     names = ("wheel_radius", "wheel_distance", "com_height", "wheel_mass", "body_mass", "yaw_inertia", "tilt_inertia")
     r, d, height, wheel_mass, body_mass, yaw_inertia, tilt_inertia = symbols = sympy.symbols(names)
     rotor, left, right, tilt = more = sympy.symbols("rotor left right tilt")
@@ -172,12 +172,12 @@ def _kane() -> Callable[[Values], Array]:
     return evaluate
 
 
-def test_the_model_is_what_follows_from_the_energies(derived: Derivation) -> None:
+def test_model_equations_follow_from_the_energies(derived: Derivation) -> None:
     slopes, lagrange, source = _slopes(TWSBR), _lagrange(derived), np.random.default_rng(1)
     for _ in range(50):
         values = _draw(source)
         mass, forces = lagrange(values)
-        # Two ways of inverting a matrix of condition 1e3 in float64.
+        # The two sides invert a matrix of condition number 1e3 in different ways, in float64.
         assert _accelerations(slopes(values)) == pytest.approx(np.linalg.solve(mass, forces), rel=1e-10, abs=1e-9)
 
 
@@ -189,8 +189,8 @@ def test_kanes_method_gives_the_same_accelerations() -> None:
         assert _accelerations(slopes(values)) == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.max(np.abs(expected)))
 
 
-def test_a_centre_of_mass_in_front_of_the_axle_is_thrown_forward_in_a_turn(derived: Derivation) -> None:
-    """What is lost where x' and y' are put into the energies first: m l sin(tilt) heading'^2 on the axle."""
+def test_bias_contains_the_centrifugal_force_of_the_body_in_a_turn(derived: Derivation) -> None:
+    """The term that is lost if x' and y' are put into the energies first: m l sin(tilt) heading'^2 on the axle."""
     r, d, height, mass = (
         sympy.Symbol(n, positive=True) for n in ("wheel_radius", "wheel_distance", "com_height", "body_mass")
     )
@@ -201,9 +201,9 @@ def test_a_centre_of_mass_in_front_of_the_axle_is_thrown_forward_in_a_turn(deriv
 
 
 @pytest.mark.parametrize("joint", [joint.name for joint in TWSBR.joints])
-def test_a_torque_at_a_joint_does_the_work_of_its_coordinate(joint: str, derived: Derivation) -> None:
-    """An effect at a joint enters Lagrange's equations by the joint's own direction, and `load / inertia` is what
-    accelerates the joint, as effects take it."""
+def test_joint_torque_acts_along_the_coordinate_of_its_joint(joint: str, derived: Derivation) -> None:
+    """An effect at a joint enters Lagrange's equations along the direction of the joint, and `load / inertia` is the
+    acceleration of the joint, as effects assume."""
     directions = {"tilt": (0, 0, 1), "travel": (0.5, 0.5, 0), "wheels": (0.5, 0.5, -1)}
     direction = np.array(directions[joint])
     model = TWSBR.add("static_torque", joint)
@@ -220,9 +220,9 @@ def test_a_torque_at_a_joint_does_the_work_of_its_coordinate(joint: str, derived
         known = dict.fromkeys(("tilt_error", "rate_error", "level_error", "tilt_std", "tilt_std_slope"), 0.0) | values
         for name, text in TWSBR.definitions.items():
             known[name] = number(text, known)
-        load, resists = number(place.load, known), number(place.inertia, known)
-        assert load / resists == pytest.approx(direction @ _accelerations(bare(values)), rel=1e-9)
-        assert 1.0 / resists == pytest.approx(direction @ np.linalg.solve(mass, direction), rel=1e-9)
+        load, joint_inertia = number(place.load, known), number(place.inertia, known)
+        assert load / joint_inertia == pytest.approx(direction @ _accelerations(bare(values)), rel=1e-9)
+        assert 1.0 / joint_inertia == pytest.approx(direction @ np.linalg.solve(mass, direction), rel=1e-9)
 
 
 # --- physics
@@ -245,8 +245,9 @@ def _energy(derived: Derivation, values: Values, outputs: Array) -> Array:
 
 
 def test_energy_is_conserved_without_friction_and_motors(bare: Kernel, derived: Derivation) -> None:
-    """A minute of swinging below the axle and up again, in a turn. What is lost is the integration's: of order four, so
-    at half the step a sixteenth or less, which an error of the equations would not be. In swings of the pendulum."""
+    """A minute of swinging below the axle and up again, in a turn. The drift, relative to the energy of the pendulum's
+    swing, is the error of the integration: of order four, so that half the step leaves a sixteenth or less of it. An
+    error of the equations would not shrink with the step."""
     values = bare.vector(FREE)
     initial = np.array([0.3, 2.0, 0.0, 15.0, 0.0, 25.0, 0.0, 0.0, 0.0])
     named = dict(zip(bare.parameters, values, strict=True))
@@ -261,7 +262,7 @@ def test_energy_is_conserved_without_friction_and_motors(bare: Kernel, derived: 
     assert drift[0] / drift[1] > 12.0
 
 
-def test_friction_and_short_circuited_motors_take_energy_out_all_the_time(bare: Kernel, derived: Derivation) -> None:
+def test_friction_and_short_circuited_motors_always_dissipate_energy(bare: Kernel, derived: Derivation) -> None:
     values = bare.vector()
     outputs = _coast(bare, values, np.array([0.3, 2.0, 0.0, 15.0, 0.0, 25.0, 0.0, 0.0, 0.0]), 1e-3, 3.0)
     energy = _energy(derived, dict(zip(bare.parameters, values, strict=True)), outputs)
@@ -282,14 +283,14 @@ def _matrix(tilt: float, parameters: Values | None = None) -> Array:
 def test_upright_is_unstable_and_hanging_is_not() -> None:
     upright, hanging = np.linalg.eigvals(_matrix(0.0)), np.linalg.eigvals(_matrix(math.pi))
     assert np.sum(upright.real > 1e-6) == 1
-    # The vehicle can stand anywhere in any direction: two poles at 0.
+    # The vehicle can stand at any place in any direction: two poles at 0.
     assert np.max(hanging.real) < 1e-6
     assert np.sum(np.abs(hanging) < 1e-6) == 2
 
 
-def test_gravity_topples_with_the_pole_of_the_pendulum() -> None:
-    """Not the sign of (20) in the paper, under which the upright body would swing. Closed form: with free wheels the
-    axle runs away under the body, which makes it lighter to turn."""
+def test_gravity_gives_the_unstable_pole_of_the_pendulum_on_free_wheels() -> None:
+    """The sign is not that of (20) in the paper, with which the upright body would oscillate. Closed form: with free
+    wheels the axle moves away under the body, which reduces the effective inertia."""
     v = {**TWSBR.values, **FREE}
     rotors = 2.0 * v["gear_ratio"] ** 2 * v["rotor_inertia"]
     moment = v["body_mass"] * v["com_height"]
@@ -302,7 +303,7 @@ def test_gravity_topples_with_the_pole_of_the_pendulum() -> None:
     assert _matrix(math.pi, FREE)[1, 0] < 0.0
 
 
-def test_a_positive_voltage_drives_forward_throws_the_body_back_and_the_right_wheel_turns_left() -> None:
+def test_positive_voltage_drives_forward_tilts_back_and_right_alone_turns_left() -> None:
     slopes = _slopes(TWSBR)
     both = slopes({**TWSBR.values, "left_voltage": 1.0, "right_voltage": 1.0})
     assert both["left_wheel_rate"] == pytest.approx(both["right_wheel_rate"])
@@ -312,7 +313,7 @@ def test_a_positive_voltage_drives_forward_throws_the_body_back_and_the_right_wh
     assert one["right_wheel_rate"] > one["left_wheel_rate"]
 
 
-def test_an_axle_that_moves_at_a_steady_speed_without_friction_needs_the_back_emf() -> None:
+def test_steady_speed_without_friction_requires_the_back_emf_voltage() -> None:
     values = {**TWSBR.values, "motor_friction": 0.0, "wheel_friction": 0.0}
     voltage = values["motor_constant"] * values["gear_ratio"] * 20.0
     slopes = _slopes(TWSBR)(
@@ -321,8 +322,9 @@ def test_an_axle_that_moves_at_a_steady_speed_without_friction_needs_the_back_em
     assert max(map(abs, _accelerations(slopes))) < 1e-9
 
 
-def test_it_balances_with_the_papers_controller_through_the_papers_excitation() -> None:
-    """25 V/deg, 3, 3.5 at 200 Hz within 12 V, 8 V at 5 rad/s on the voltage, Table 3: within 3 degrees, as it did."""
+def test_paper_controller_balances_the_model_through_the_paper_excitation() -> None:
+    """PID gains of 25 V/deg, 3 and 3.5 at 200 Hz within 12 V, a square wave of 8 V and 5 rad/s on the voltage, and the
+    parameters of Table 3: the tilt stays within 3 degrees, as in the paper."""
     slopes = _slopes(TWSBR)
     state = dict.fromkeys((state.name for state in TWSBR.states), 0.0) | {"tilt": math.radians(0.5)}
     total, largest = 0.0, 0.0
@@ -343,9 +345,9 @@ def test_it_balances_with_the_papers_controller_through_the_papers_excitation() 
 # --- the kernel
 
 
-def test_the_kernels_linearisation_is_that_of_a_numerical_jacobian(kernel: Kernel) -> None:
-    """Over 1 ms a pass and the matrix exponential differ by the integration's fifth-order error: (20/s 1 ms)^5 / 120,
-    and by that of the differences, 1e-9 of the largest entry, 1e3/s^2, times 1 ms."""
+def test_kernel_linearisation_matches_a_numerical_jacobian(kernel: Kernel) -> None:
+    """Over 1 ms, a pass and the matrix exponential differ by the fifth-order error of the integration,
+    (20/s 1 ms)^5 / 120, and by the error of the differences, 1e-9 of the largest entry, 1e3/s^2, times 1 ms."""
     step, states = 1e-3, len(kernel.states)
     time = step * np.arange(2)
     held = np.tile([0.0, 0.0, TILT_STD], (2, 1))
@@ -360,8 +362,8 @@ def test_the_kernels_linearisation_is_that_of_a_numerical_jacobian(kernel: Kerne
         assert np.max(np.abs(memory.S - expected)) < 1e-8
 
 
-def test_the_kernels_sensitivities_are_derivatives(kernel: Kernel) -> None:
-    """By every parameter and starting state, against central differences, good to 1e-7 of the largest slope here."""
+def test_kernel_sensitivities_match_central_differences(kernel: Kernel) -> None:
+    """For every parameter and initial state; central differences are accurate to 1e-7 of the largest slope here."""
     source = np.random.default_rng(4)
     time = 5e-3 * np.arange(60)
     knots = np.repeat(time[:, None] - 1e-3, 3, axis=1)
@@ -388,15 +390,15 @@ def test_the_kernels_sensitivities_are_derivatives(kernel: Kernel) -> None:
         assert np.max(np.abs(exact[:, :, place] * size - slope)) < 1e-6 * largest, place
 
 
-# --- the numbers
+# --- the shipped model
 
 
-def test_the_shipped_models_are_there_without_sympy() -> None:
+def test_model_library_imports_without_sympy_numba_or_scipy() -> None:
     code = "import sys, models.library; assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2], timeout=60)
 
 
-def test_the_papers_results_are_within_the_bounds_and_its_channels_are_recorded() -> None:
+def test_paper_values_are_within_the_bounds_and_model_channels_are_recorded() -> None:
     for name, value in TABLE_3.items():
         parameter = TWSBR.parameter(name)
         assert parameter.lower < parameter.value < parameter.upper

@@ -1,5 +1,5 @@
-"""The balancing robot's next experiment: its loop as predicted is that of the virtual robot, what is too strong is
-refused, and what is suggested for two frictions that a record leaves tied tells them apart. Fixed seeds."""
+"""The balancing robot's next experiment: the predicted loop matches the virtual robot, experiments that are too strong
+are refused, and the suggestion for two frictions that a record leaves tied separates them. Fixed seeds."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from vehicles.phases import Phase
 from vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
-TRUE = TwsbrTruth().table_1
+TRUE_VALUES = TwsbrTruth().table_1
 BUS = 1e-3
-"""s from a row to where its voltages act on the virtual robot's motors."""
-TRUTH = get("twsbr").change({**TRUE, "voltage_offset": BUS})
+"""s from a sample to the time at which its voltages act on the virtual robot's motors."""
+TRUTH = get("twsbr").change({**TRUE_VALUES, "voltage_offset": BUS})
 PAIR = ("coulomb_friction@wheels", "viscous_friction@wheels")
 HIDDEN = "coulomb_friction=0.2"
-FOLLOWED = {"tilt": 1.5, "tilt_rate": 1.0, "left_wheel_angle": 0.3}
-"""How far off a prediction may be, in scatters of a record. Noise that two records share drops out of their difference,
-so that it may be less than one."""
+LARGEST_ERROR = {"tilt": 1.5, "tilt_rate": 1.0, "left_wheel_angle": 0.3}
+"""Largest error of a prediction, relative to the scatter of a record. Noise that is common to two records cancels in
+their difference, so the limit may be less than one."""
 SECONDS = 5.0
 SEEDS = (21, 22, 23)
 
@@ -53,15 +53,15 @@ def vehicle_model(vehicle: VehicleFile = VEHICLE) -> Model:
 
 
 def only(*names: str, vehicle: VehicleFile = VEHICLE, **changes: Any) -> VehicleFile:
-    """The robot with these experiments alone, each with `changes`."""
+    """The robot with only these experiments, each with `changes`."""
     kept = {name: vehicle.experiments[name].model_copy(update=changes) for name in names}
     return vehicle.model_copy(update={"experiments": kept})
 
 
 def identified() -> VehicleFile:
-    """A vehicle file that somebody has put the identified numbers into, which are right here."""
+    """A vehicle file with identified values in it; here these are the true values."""
     parameters = VEHICLE.parameters
-    known = {name: getattr(parameters, name).model_copy(update={"value": value}) for name, value in TRUE.items()}
+    known = {name: getattr(parameters, name).model_copy(update={"value": value}) for name, value in TRUE_VALUES.items()}
     return VEHICLE.model_copy(update={"parameters": parameters.model_copy(update=known)})
 
 
@@ -71,33 +71,33 @@ def excited(experiment: str, seed: int) -> dict[str, np.ndarray]:
     recording = record("twsbr", experiment, seed=seed, duration=SECONDS)
     begin = int(np.flatnonzero(recording["phase"] == Phase.EXCITE)[0])
     rows = slice(begin, begin + round(SECONDS / VEHICLE.period))
-    return {name: recording[name][rows] for name in FOLLOWED}
+    return {name: recording[name][rows] for name in LARGEST_ERROR}
 
 
 @pytest.mark.parametrize("name", ["square", "sine", "doublet", "sine_stream"])
-def test_the_loop_moves_as_the_virtual_robot_does(name: str) -> None:
-    """Of what `hold` does with the same noise the difference is taken: getting up leaves the robot a turn of its wheels
-    from where it began, and it comes back to there during the excitation. Measured against the scatter of a record
-    from seed to seed the rest came to 0.5 to 1.2 of tilt, 0.3 to 0.6 of its rate and 0.1 of the wheels (seeds 1, 2, 4
-    and 21 to 23): that an encoder of few counts tells the rate late is known to the real loop alone."""
+def test_predicted_loop_matches_the_virtual_robot(name: str) -> None:
+    """The run of `hold` with the same noise is subtracted: getting up leaves the robot a turn of its wheels from where
+    it began, and it returns there during the excitation. Relative to the scatter of a record from seed to seed, the
+    remaining error was 0.5 to 1.2 for the tilt, 0.3 to 0.6 for its rate and 0.1 for the wheels (seeds 1, 2, 4 and 21
+    to 23): an encoder of few counts delays the measured rate, which only the real loop includes."""
     (experiment,), _ = experiments_of(only(name, duration=SECONDS))
     course = simulate(TRUTH, experiment)
     assert course.broken == ""
-    for place, (channel, most) in enumerate(FOLLOWED.items()):
-        with_it, without = (np.array([excited(each, seed)[channel] for seed in SEEDS]) for each in (name, "hold"))
+    for place, (channel, most) in enumerate(LARGEST_ERROR.items()):
+        driven, held = (np.array([excited(each, seed)[channel] for seed in SEEDS]) for each in (name, "hold"))
         if channel == "left_wheel_angle":
-            with_it, without = with_it - with_it[:, :1], without - without[:, :1]
-        rows = min(with_it.shape[1], len(course.rows) - 1)  # whole periods alone are played
-        with_it, without = with_it[:, :rows], without[:, :rows]
-        noise = np.sqrt(np.mean(np.var(with_it, axis=0, ddof=1)))
+            driven, held = driven - driven[:, :1], held - held[:, :1]
+        rows = min(driven.shape[1], len(course.rows) - 1)  # only whole periods are played
+        driven, held = driven[:, :rows], held[:, :rows]
+        noise = np.sqrt(np.mean(np.var(driven, axis=0, ddof=1)))
         predicted = course.rows.measured[:rows, place]
-        errors = np.sqrt(np.mean((with_it - without - predicted) ** 2, axis=1)) / (np.sqrt(2.0) * noise)
+        errors = np.sqrt(np.mean((driven - held - predicted) ** 2, axis=1)) / (np.sqrt(2.0) * noise)
         assert np.all(errors < most), channel
-        # Without any prediction it would be more.
+        # With a prediction of zero the error would be larger.
         assert np.std(predicted) > 2.0 * most * np.sqrt(2.0) * noise, channel
 
 
-def test_what_moves_nothing_is_left_out() -> None:
+def test_experiment_without_excitation_is_left_out() -> None:
     found, left_out = experiments_of(VEHICLE)
     assert left_out == {"hold": "has no excitation"}
     assert {each.name for each in found} == {"square", "sine", "doublet", "sine_stream"}
@@ -107,7 +107,7 @@ def test_what_moves_nothing_is_left_out() -> None:
     ("amplitude", "budget", "words"),
     [(120.0, 2.0, "voltage would reach"), (8.0, 0.002, "travel would reach")],
 )
-def test_what_comes_too_near_to_a_limit_is_not_suggested(amplitude: float, budget: float, words: str) -> None:
+def test_experiment_too_close_to_a_limit_is_not_suggested(amplitude: float, budget: float, words: str) -> None:
     limits = VEHICLE.limits.model_copy(update={"travel_budget": budget})
     vehicle = only("square", vehicle=VEHICLE.model_copy(update={"limits": limits}), amplitude=amplitude)
     rough = TRUTH.add("coulomb_friction", "wheels").change({"coulomb_friction@wheels.torque": 0.02})
@@ -118,8 +118,9 @@ def test_what_comes_too_near_to_a_limit_is_not_suggested(amplitude: float, budge
     assert "more than 80 % of the" in choice.outlooks[0].refused
 
 
-def test_the_robot_has_settled_before_it_is_excited() -> None:
-    """With an IMU at a slant it stands elsewhere than a model begins, and the way there has no limit."""
+def test_prediction_lets_the_robot_settle_before_the_excitation() -> None:
+    """With a tilted IMU the robot stands at another tilt than the initial state of the model. No limit applies while it
+    settles there."""
     offset = TRUTH.add("sensor_offset").change({"sensor_offset.offset": 0.03})
     (doublet,), _ = experiments_of(only("doublet"))
     course = simulate(offset, doublet)
@@ -130,7 +131,7 @@ def test_the_robot_has_settled_before_it_is_excited() -> None:
     assert "voltage would reach" in simulate(offset, suddenly).broken
 
 
-def test_without_a_recording_the_numbers_of_the_vehicle_file_have_to_hold_the_robot_up() -> None:
+def test_without_a_recording_the_vehicle_file_values_must_balance_the_robot() -> None:
     with pytest.raises(ModelError, match=r"no safe experiment shows it; square: voltage would reach .* recordings"):
         separating(only("square"), vehicle_model(), PAIR)
     right = identified()
@@ -144,8 +145,8 @@ def test_without_a_recording_the_numbers_of_the_vehicle_file_have_to_hold_the_ro
 
 @pytest.fixture(scope="module")
 def first() -> Recording:
-    """1.6 s of settling and of a small doublet, which leave the two frictions tied, as not all so short ones do: of 1.4
-    to 1.7 s and the seeds 4 to 7 six of 16."""
+    """1.6 s of settling and of a small doublet, which leave the two frictions tied. Not all records this short do: with
+    1.4 to 1.7 s and the seeds 4 to 7 it is six of 16."""
     vehicle = only("doublet", duration=4.0, amplitude=2.0)
     return record(vehicle, "doublet", hide=[HIDDEN], seed=7).between(6.8, 8.4)
 
@@ -155,7 +156,7 @@ def rivals(first: Recording) -> list[Rival]:
     return fitted_rivals(vehicle_model(), [first], VEHICLE.support, PAIR)
 
 
-def test_what_is_suggested_for_a_tied_pair_tells_it_apart(first: Recording, rivals: list[Rival]) -> None:
+def test_suggested_experiment_separates_a_tied_pair(first: Recording, rivals: list[Rival]) -> None:
     assert [each.name for each in rivals] == list(PAIR)
     assert log_odds(rivals, first) < np.log(100.0)  # tied
     finding = Finding(
@@ -181,23 +182,23 @@ def test_what_is_suggested_for_a_tied_pair_tells_it_apart(first: Recording, riva
     assert log_odds(rivals, run) > 100.0
 
 
-def test_what_is_the_same_to_the_controller_no_run_tells_apart() -> None:
-    """An IMU at a slant and a centre of mass beside the axle. The record tells the motors' resistance; one that leaves
-    it open, as 8 s of the doublet, ends with 1.5 ohm for the one and 3.8 ohm for the other, and 30 nats are expected of
-    these."""
+def test_no_experiment_separates_effects_that_are_identical_to_the_controller() -> None:
+    """A tilted IMU and a centre of mass beside the axle. The record determines the motors' resistance. A record that
+    does not, such as 8 s of the doublet, gives 1.5 ohm with one effect and 3.8 ohm with the other, and 30 nats are
+    expected from that difference."""
     standing = record("twsbr", "square", hide=["static_torque"], seed=3, duration=8.0).between(6.8, float("inf"))
-    same = fitted_rivals(vehicle_model(), [standing], VEHICLE.support, ("static_torque", "sensor_offset"))
-    assert len(same) == 2
-    for each in suggest(same, experiments_of(only("square", "doublet"))[0]).outlooks:
+    identical = fitted_rivals(vehicle_model(), [standing], VEHICLE.support, ("static_torque", "sensor_offset"))
+    assert len(identical) == 2
+    for each in suggest(identical, experiments_of(only("square", "doublet"))[0]).outlooks:
         assert each.refused == ""
         assert each.rates["static_torque", "sensor_offset"] * each.experiment.duration < 1.0
 
 
-def test_the_command_runs_the_experiment_that_separates(first: Recording, tmp_path: Path) -> None:
-    asked: list[Mapping[str, Any]] = []
+def test_experiment_command_runs_the_separating_experiment(first: Recording, tmp_path: Path) -> None:
+    requests: list[Mapping[str, Any]] = []
 
     async def answer(request: Message) -> Any:
-        asked.append(request)
+        requests.append(request)
         yield result(ExitCode.REFUSED, "interlock", "The left wheel is off.")
 
     path = tmp_path / "first.arrow"
@@ -214,8 +215,8 @@ def test_the_command_runs_the_experiment_that_separates(first: Recording, tmp_pa
 
     code, output = asyncio.run(run())
     assert code == ExitCode.REFUSED, output
-    assert len(asked) == 1
-    assert asked[0]["verb"] == "experiment"
-    assert asked[0]["name"] in VEHICLE.experiments
-    assert f"of {asked[0]['name']}" in output
+    assert len(requests) == 1
+    assert requests[0]["verb"] == "experiment"
+    assert requests[0]["name"] in VEHICLE.experiments
+    assert f"of {requests[0]['name']}" in output
     assert "separates" in output

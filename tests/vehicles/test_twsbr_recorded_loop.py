@@ -1,5 +1,6 @@
-"""The balancing robot's model in the loop with the robot's own controller: near the floor where it is right, far from
-it where something is hidden, and no number where it falls over. Virtual robot in lock-step, fixed seeds."""
+"""The balancing robot's model in closed loop with the robot's own controller: the error is near the noise floor if the
+model is right, far above it if an effect is hidden, and not given if the model falls over. Virtual robot in lock-step,
+fixed seeds."""
 
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ VEHICLE = load("twsbr")
 TRUTH = get("twsbr").change(TwsbrTruth().table_1)
 SECONDS = 8.0
 LARGEST = {"tilt": 2.0, "left_wheel_angle": 1.25, "right_wheel_angle": 1.25}
-"""Times the floor. Twelve records of seeds 11 to 13 gave 0.6 to 1.4 for the tilt, one of 20 s 1.6, since an encoder
-tells the wheels' rate late; for the wheels 0.2 to 0.9: of the tilt filter's slow error the model states more than there
-is."""
+"""Times the noise floor. For the tilt, twelve records of seeds 11 to 13 gave 0.6 to 1.4 and one of 20 s gave 1.6, since
+an encoder delays the wheels' rate. For the wheels they gave 0.2 to 0.9: the slow error of the tilt filter is smaller
+than the model states."""
 
 
 @cache
@@ -47,18 +48,18 @@ def in_the_loop(recording: Recording, model: Model = TRUTH) -> ClosedLoop:
 
 
 @pytest.mark.parametrize("experiment", ["square", "sine", "doublet", "sine_stream"])
-def test_a_right_model_goes_with_the_record_to_the_noise(experiment: str) -> None:
+def test_true_model_matches_the_record_to_within_the_noise(experiment: str) -> None:
     loop = in_the_loop(recorded(experiment))
     assert loop.reason == ""
-    assert loop.time[-1] - loop.time[0] > SECONDS + 1.0  # excitation and fading, from its first row on
+    assert loop.time[-1] - loop.time[0] > SECONDS + 1.0  # excitation and fading, from its first sample on
     for channel, most in LARGEST.items():
         assert loop.over_floor(channel) < most, channel
     assert loop.fit_percent("tilt") > 90.0
 
 
-def without(hidden: str, name: str, size: str, value: float) -> ClosedLoop:
-    """Of the model that lacks what is `hidden`, beside the disturbance that the one with it leaves. Alone it would
-    take that for a disturbance of its own."""
+def loop_without_effect(hidden: str, name: str, size: str, value: float) -> ClosedLoop:
+    """The closed loop of the model that lacks the `hidden` effect, with the disturbance estimated by the model that has
+    it. Compared alone, the model would attribute the effect to its own disturbance."""
     recording, right = recorded("square", hidden), TRUTH.add(*name.split("@")).change({f"{name}.{size}": value})
     loops = [recorded_loop(VEHICLE, recording)]
     _, found = compare({"with": right, "without": TRUTH}, [recording], support=VEHICLE.support, loops=loops)
@@ -73,23 +74,23 @@ def without(hidden: str, name: str, size: str, value: float) -> ClosedLoop:
         ("coulomb_friction", "coulomb_friction@wheels", "torque", 0.02),
     ],
 )
-def test_what_is_hidden_shows(hidden: str, name: str, size: str, value: float) -> None:
-    """More than twice what a right model leaves, and than what noise and disturbance make."""
-    loop, right = without(hidden, name, size, value), in_the_loop(recorded("square"))
+def test_hidden_effect_raises_the_closed_loop_error(hidden: str, name: str, size: str, value: float) -> None:
+    """The error is more than twice that of a right model, and more than twice that of noise and disturbance."""
+    loop, right = loop_without_effect(hidden, name, size, value), in_the_loop(recorded("square"))
     for channel in ("tilt", "left_wheel_angle"):
         assert loop.over_floor(channel) > 2.0 * max(1.0, right.over_floor(channel))
 
 
-def test_added_it_does_not_show_any_more() -> None:
-    # Of the virtual robot, N m.
-    ahead = TRUTH.add("static_torque").change({"static_torque.torque": 0.01})
-    loop = in_the_loop(recorded("square", "static_torque"), ahead)
+def test_adding_the_hidden_effect_returns_the_error_to_the_noise() -> None:
+    # The value of the virtual robot, N m.
+    with_effect = TRUTH.add("static_torque").change({"static_torque.torque": 0.01})
+    loop = in_the_loop(recorded("square", "static_torque"), with_effect)
     for channel, most in LARGEST.items():
         assert loop.over_floor(channel) < most, channel
 
 
-def test_a_model_that_falls_over_has_no_number_but_a_reason() -> None:
-    # A fiftieth of the torque that the motors have: the supply's limit is reached, and the body tips.
+def test_model_that_falls_over_has_a_reason_instead_of_errors() -> None:
+    # With a fiftieth of the motors' true torque the voltage reaches the supply's limit and the body falls.
     loop = in_the_loop(recorded("square"), TRUTH.change({"motor_constant": 5.6e-4, "armature_resistance": 20.0}))
     assert "tilt exceeds the 8 deg at which the robot has fallen" in loop.reason
     assert loop.to_json() == {
@@ -103,7 +104,7 @@ def test_a_model_that_falls_over_has_no_number_but_a_reason() -> None:
     }
 
 
-def test_the_command_tells_it(tmp_path: Path) -> None:
+def test_compare_command_reports_the_closed_loop_of_each_model(tmp_path: Path) -> None:
     path = tmp_path / "square.arrow"
     save(recorded("square"), path)
     arguments = ["compare", str(path), "--vehicle", "twsbr", "--model", "twsbr", "--json"]
@@ -119,8 +120,8 @@ class TestTheRecordedLoop:
     def changed(self, **columns: np.ndarray) -> Recording:
         return replace(recorded("square"), values={**recorded("square").values, **columns})
 
-    def test_is_the_controller_to_the_millivolt(self) -> None:
-        """Given what was recorded, with wheels as old as the row, it gives the voltages that were recorded."""
+    def test_controller_reproduces_the_recorded_voltages_to_a_millivolt(self) -> None:
+        """From the recorded measurements, with wheels as old as the sample, it computes the recorded voltages."""
         recording = self.changed(drive_age=np.zeros(len(recorded("square"))))
         loop = recorded_loop(VEHICLE, recording)
         assert isinstance(loop, Loop)
@@ -131,7 +132,7 @@ class TestTheRecordedLoop:
             assert given["left_voltage"] == pytest.approx(recording["left_voltage"][row], abs=1.1e-3)
 
     def test_needs_no_metadata(self, tmp_path: Path) -> None:
-        """A CSV has none: where the excitation enters is found from the voltages."""
+        """A CSV has none: the point at which the excitation enters is found from the voltages."""
         path = tmp_path / "run.csv"
         save(recorded("square"), path)
         known, bare = (recorded_loop(VEHICLE, each) for each in (recorded("square"), load_recording(path)))
@@ -139,12 +140,12 @@ class TestTheRecordedLoop:
         assert isinstance(bare, Loop)
         assert (bare.begins, bare.ends) == (known.begins, known.ends)
 
-    def test_the_voltages_of_another_controller_are_found_out(self) -> None:
+    def test_voltages_of_another_controller_are_rejected(self) -> None:
         softer = VEHICLE.controller.model_copy(update={"proportional_gain": 20.0})
-        told = recorded_loop(VEHICLE.model_copy(update={"controller": softer}), recorded("square"))
-        assert "does not give the recorded voltages" in str(told)
+        reason = recorded_loop(VEHICLE.model_copy(update={"controller": softer}), recorded("square"))
+        assert "does not give the recorded voltages" in str(reason)
 
-    def test_what_is_not_there_or_not_known_is_said(self) -> None:
+    def test_missing_excitation_channels_and_values_are_reported(self) -> None:
         recording = recorded("square")
         assert "the vehicle is not excited" in str(recorded_loop(VEHICLE, recorded("hold")))
         late = str(recorded_loop(VEHICLE, recording.between(8.0, float("inf"))))

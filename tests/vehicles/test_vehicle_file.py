@@ -1,4 +1,4 @@
-"""Vehicle files: the shipped ones are right, and whatever is wrong is named with its key and a remedy."""
+"""Vehicle files: the shipped files load, and each error names its key and a remedy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MONOCAB = (Path(__file__).parents[2] / "vehicles" / "monocab" / "vehicle.toml").
 
 
 def changed(tmp_path: Path, old: str, new: str) -> str:
-    """A copy of the shipped file with one text replaced; the path."""
+    """The path of a copy of the shipped file with one text replaced."""
     assert old in MONOCAB
     path = tmp_path / "mine.toml"
     path.write_text(MONOCAB.replace(old, new, 1))
@@ -27,7 +27,7 @@ def test_shipped_files_load(name: str) -> None:
     assert len(vehicle.configuration_hash) == 16
 
 
-def test_a_path_of_ones_own_loads_and_changes_the_hash(tmp_path: Path) -> None:
+def test_user_vehicle_file_loads_and_changes_the_hash(tmp_path: Path) -> None:
     path = changed(tmp_path, "roll_deg = 5.0", "roll_deg = 6.0")
     assert load(path).limits.roll_deg == 6.0
     assert load(path).configuration_hash != load("monocab").configuration_hash
@@ -57,7 +57,7 @@ def test_a_path_of_ones_own_loads_and_changes_the_hash(tmp_path: Path) -> None:
         ('[mqtt]\nbroker = ""', '[mqtt]\nbroker = "localhost"', "mqtt.broker", "found 'localhost'"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, key: str, said: str) -> None:
+def test_error_names_file_key_and_remedy(tmp_path: Path, old: str, new: str, key: str, said: str) -> None:
     path = changed(tmp_path, old, new)
     with pytest.raises(VehicleFileError) as caught:
         load(path)
@@ -67,17 +67,17 @@ def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, key: str, sa
     assert "Remedy:" in str(caught.value)
 
 
-def test_a_missing_section_is_named(tmp_path: Path) -> None:
+def test_missing_section_is_named(tmp_path: Path) -> None:
     path = changed(tmp_path, "[limits]", "[limit]")
     with pytest.raises(VehicleFileError, match=r"limit.*Did you mean|limits: is missing"):
         load(path)
 
 
-def test_broken_toml_names_the_line(tmp_path: Path) -> None:
+def test_invalid_toml_error_names_the_line(tmp_path: Path) -> None:
     with pytest.raises(VehicleFileError, match=r"not valid TOML.*line \d+"):
         load(changed(tmp_path, "rate = 250 ", "rate = = 250 "))
 
 
-def test_a_file_that_is_not_there_lists_the_shipped_ones() -> None:
+def test_missing_file_error_lists_the_shipped_vehicles() -> None:
     with pytest.raises(VehicleFileError, match=r"cannot be read: No such file.*monocab"):
         load("nowhere")
