@@ -1,4 +1,4 @@
-"""The bus without SocketCAN: addresses, delivery, a full transmit queue, the end of a bus, and canopen on it."""
+"""The bus without SocketCAN: addresses, delivery, a full transmit queue, loss of a bus, and canopen on it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ MULTICAST = "udp_multicast:239.74.163.77"
 
 
 class ScriptedPort:
-    """A port whose transmit queue takes a frame or not as `takes` says, and whose frames and end a test makes."""
+    """A port for tests: `takes` decides whether the transmit queue accepts a frame. The test supplies received frames
+    and the failure."""
 
     def __init__(self, takes: Callable[[], bool] = lambda: True) -> None:
         self.receive_dropped = 0
@@ -74,15 +75,15 @@ class Consumer:
     def __init__(self) -> None:
         self.lists: list[list[CanFrame]] = []
         self.downs: list[BusDown] = []
-        self.story: list[str] = []
+        self.sequence: list[str] = []
 
     def on_frames(self, frames: list[CanFrame]) -> None:
         self.lists.append(frames)
-        self.story.append("frames")
+        self.sequence.append("frames")
 
     def on_down(self, down: BusDown) -> None:
         self.downs.append(down)
-        self.story.append("down")
+        self.sequence.append("down")
 
     @property
     def frames(self) -> list[CanFrame]:
@@ -90,14 +91,14 @@ class Consumer:
 
 
 async def until(condition: Callable[[], object], what: str) -> None:
-    """Wait for `condition`; the limit only ends a test that has failed."""
+    """Wait for `condition`; the time limit only ends a test that has failed."""
     limit = time.monotonic() + 10.0
     while not condition():
         assert time.monotonic() < limit, f"waited in vain for {what}"
         await asyncio.sleep(0.001)
 
 
-def hold_up_the_loop() -> None:
+def block_the_loop() -> None:
     time.sleep(0.1)
 
 
@@ -122,15 +123,15 @@ def scripted(takes: Callable[[], bool] = lambda: True) -> tuple[ScriptedPort, Bu
         ("slcan:/dev/no-such-adapter", "cannot be opened", "serial port"),
     ],
 )
-def test_a_bad_address_says_what_to_do(address: str, says: str, remedy: str) -> None:
+def test_invalid_address_error_names_a_remedy(address: str, says: str, remedy: str) -> None:
     with pytest.raises(BusError, match=says) as caught:
         Bus.open(address)
     assert caught.value.bus == address
     assert remedy in caught.value.remedy
 
 
-def test_a_socketcan_interface_that_is_missing_says_how_to_get_it() -> None:
-    """On a kernel without CAN the way out is a module or another interface, on one with it an adapter."""
+def test_missing_socketcan_interface_error_names_a_command_to_get_it() -> None:
+    """The remedy on a kernel without CAN is a module or another interface; on a kernel with CAN it is an adapter."""
     with pytest.raises(BusError) as caught:
         Bus.open("socketcan:can17", bitrate=500_000)
     assert any(way in caught.value.remedy for way in ("modprobe can-raw", "ip link set can17 up"))
@@ -139,7 +140,7 @@ def test_a_socketcan_interface_that_is_missing_says_how_to_get_it() -> None:
 # The virtual bus
 
 
-async def test_a_virtual_bus_carries_the_senders_time_exactly_and_nothing_back() -> None:
+async def test_virtual_bus_keeps_the_senders_timestamps_and_has_no_echo() -> None:
     one, other = Bus.open("virtual:times", index=3), Bus.open("virtual:times")
     consumer, echo = Consumer(), Consumer()
     one.start(consumer.on_frames, consumer.on_down)
@@ -156,7 +157,7 @@ async def test_a_virtual_bus_carries_the_senders_time_exactly_and_nothing_back()
     other.close()
 
 
-async def test_a_frame_without_a_time_gets_that_of_the_latest_received_one() -> None:
+async def test_frame_without_timestamp_gets_that_of_the_last_received_frame() -> None:
     one, other = Bus.open("virtual:stamps"), Bus.open("virtual:stamps")
     consumer, answers = Consumer(), Consumer()
     one.start(consumer.on_frames, consumer.on_down)
@@ -170,7 +171,7 @@ async def test_a_frame_without_a_time_gets_that_of_the_latest_received_one() -> 
     other.close()
 
 
-async def test_only_the_ids_asked_for_are_delivered() -> None:
+async def test_only_requested_ids_are_delivered() -> None:
     one, other = Bus.open("virtual:filter", can_ids=[0x181, 0x182]), Bus.open("virtual:filter")
     consumer = Consumer()
     one.start(consumer.on_frames, consumer.on_down)
@@ -182,13 +183,13 @@ async def test_only_the_ids_asked_for_are_delivered() -> None:
     other.close()
 
 
-async def test_a_flood_comes_in_bounded_lists_between_which_the_loop_turns() -> None:
+async def test_flood_is_delivered_in_bounded_lists_and_the_event_loop_keeps_running() -> None:
     one, sender = Bus.open("virtual:flood"), can.Bus(channel="flood", interface="virtual", ignore_config=True)
     consumer, turns = Consumer(), 0
     one.start(consumer.on_frames, consumer.on_down)
     for number in range(1000):
         sender.send(can.Message(arbitration_id=number, is_extended_id=False, timestamp=1.0))
-    hold_up_the_loop()
+    block_the_loop()
     while len(consumer.frames) < 1000:
         await asyncio.sleep(0)
         turns += 1
@@ -209,12 +210,12 @@ async def test_closing_ends_the_thread_and_the_delivery() -> None:
     one.send(0x101, b"")
     await asyncio.sleep(0.01)
     other.close()
-    assert consumer.story == []
+    assert consumer.sequence == []
     assert one.statistics.transmit_dropped == 1
     assert not [thread for thread in threading.enumerate() if thread.name == "CAN bus"]
 
 
-async def test_the_tap_sees_what_is_received_and_what_is_sent() -> None:
+async def test_tap_sees_received_and_sent_frames() -> None:
     port, bus, _ = scripted()
     seen: list[CanFrame] = []
     bus.tap = seen.append
@@ -228,7 +229,7 @@ async def test_the_tap_sees_what_is_received_and_what_is_sent() -> None:
 # A full transmit queue
 
 
-async def test_a_full_transmit_queue_keeps_the_order_and_is_counted() -> None:
+async def test_full_transmit_queue_keeps_the_order_and_counts_retries() -> None:
     answers = iter([True, False, False, True, False])
     port, bus, consumer = scripted(lambda: next(answers, True))
     for number in range(5):
@@ -237,14 +238,14 @@ async def test_a_full_transmit_queue_keeps_the_order_and_is_counted() -> None:
     await until(lambda: len(port.sent) == 5, "the retries")
     assert port.sent == [(0x200 + number, bytes([number]), number + 1) for number in range(5)]
     assert bus.statistics.sent == 5
-    assert bus.statistics.transmit_retries == 6  # four frames, two of which were refused once more
+    assert bus.statistics.transmit_retries == 6  # four frames waited, two of them were refused a second time
     assert bus.statistics.transmit_dropped == 0
     assert consumer.downs == []
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.booleans(), max_size=12), st.integers(1, 20))
-def test_whatever_the_queue_refuses_frames_leave_once_and_in_order(answers: list[bool], count: int) -> None:
+def test_frames_are_sent_once_and_in_order_whatever_the_queue_refuses(answers: list[bool], count: int) -> None:
     async def send_all() -> list[int]:
         script = iter(answers)
         port, bus, _ = scripted(lambda: next(script, True))
@@ -274,13 +275,15 @@ async def test_a_transmit_queue_that_stays_full_takes_the_bus_down() -> None:
     assert len(consumer.downs) == 1
 
 
-async def test_an_old_frame_takes_the_bus_down_although_the_queue_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bus too slow for its load must not deliver ever older setpoints."""
+async def test_frame_that_waits_too_long_takes_the_bus_down_despite_a_moving_queue(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A bus that is too slow for its load must not deliver setpoints of growing age."""
     port, bus, consumer = scripted(lambda: False)
     clock = [100.0]
     monkeypatch.setattr(bus_module.time, "monotonic", lambda: clock[0])
     taken = iter(range(10))
-    port._takes = lambda: next(taken) % 2 == 1  # every try that succeeds is followed by one that fails
+    port._takes = lambda: next(taken) % 2 == 1  # every successful attempt is followed by a failing one
     for number in range(5):
         bus.send(0x200 + number, b"")
     for _ in range(3):
@@ -300,10 +303,10 @@ async def test_too_many_waiting_frames_take_the_bus_down() -> None:
     assert bus.statistics.transmit_dropped == bus_module.PENDING_LIMIT + 1
 
 
-# The end of a bus
+# Loss of a bus
 
 
-async def test_the_last_frames_come_before_the_end_which_comes_once() -> None:
+async def test_last_frames_are_delivered_before_a_single_bus_down() -> None:
     port, bus, consumer = scripted()
     port.put(CanFrame(1, 0x181, b""))
     port.failure = OSError(100, "the interface was set down")
@@ -312,7 +315,7 @@ async def test_the_last_frames_come_before_the_end_which_comes_once() -> None:
     await asyncio.sleep(0)
     port.wake()
     await asyncio.sleep(0)
-    assert consumer.story == ["frames", "down"]
+    assert consumer.sequence == ["frames", "down"]
     assert str(consumer.downs[0]) == "scripted:0 is down: the interface was set down."
     assert port.reads == 2
     with pytest.raises(BusDown):
@@ -338,19 +341,19 @@ async def test_bus_off_takes_the_bus_down_after_its_frame_was_delivered() -> Non
     port.put(CanFrame(2, ErrorClass.BUS_OFF | ErrorClass.COUNTERS, bytes([0, 0, 0, 0, 0, 0, 248, 3]), error=True))
     port.wake()
     await asyncio.sleep(0)
-    assert consumer.story == ["frames", "frames", "down"]
+    assert consumer.sequence == ["frames", "frames", "down"]
     assert "bus-off" in consumer.downs[0].reason
     assert "248 transmit, 3 receive" in consumer.downs[0].reason
     assert bus.statistics.error_frames == 2
 
 
-async def test_a_closed_bus_says_nothing_more_even_of_its_end() -> None:
+async def test_closed_bus_delivers_nothing_not_even_bus_down() -> None:
     port, bus, consumer = scripted()
     port.failure = OSError(19, "the interface was removed")
     port.wake()
     bus.close()
     await asyncio.sleep(0)
-    assert consumer.story == []
+    assert consumer.sequence == []
     assert bus.drain() == []
 
 
@@ -365,20 +368,20 @@ async def test_a_group_delivers_one_list_in_the_order_of_the_timestamps() -> Non
     ports[0].put(*(CanFrame(time_ns, 0x181, b"", 0) for time_ns in (10, 40, 50)))
     ports[1].put(*(CanFrame(time_ns, 0x18A, b"", 1) for time_ns in (20, 30, 60)))
     ports[1].wake()
-    ports[0].wake()  # both had become readable: the second wake-up finds nothing and says nothing
+    ports[0].wake()  # both had become readable: the second wake-up finds and delivers nothing
     assert [[frame.timestamp_ns for frame in frames] for frames in consumer.lists] == [[10, 20, 30, 40, 50, 60]]
     group.send(1, 0x201, b"\1", 70)
     assert (ports[0].sent, ports[1].sent) == ([], [(0x201, b"\1", 70)])
 
 
-async def test_a_group_goes_on_with_the_bus_that_is_left() -> None:
+async def test_group_continues_with_the_remaining_bus() -> None:
     ports = [ScriptedPort(), ScriptedPort()]
     group = BusGroup([Bus(port, f"scripted:{index}", index) for index, port in enumerate(ports)])
     consumer = Consumer()
     group.start(consumer.on_frames, consumer.on_down)
     ports[0].failure = OSError(19, "the interface was removed")
     ports[1].put(CanFrame(1, 0x18A, b"", 1))
-    ports[1].wake()  # its wake-up is the one that finds the other gone
+    ports[1].wake()  # this wake-up finds that the other bus is gone
     ports[1].put(CanFrame(2, 0x18A, b"", 1))
     ports[1].wake()
     await asyncio.sleep(0)
@@ -413,13 +416,13 @@ def serial_line(monkeypatch: pytest.MonkeyPatch) -> tuple[int, Bus]:
     """A serial CAN adapter (slcan) on a pseudo-terminal: its far end, and the bus on it."""
     far, near = os.openpty()
     with monkeypatch.context() as patch:
-        patch.setattr(time, "sleep", lambda seconds: None)  # 2 s for the adapters that restart when they are opened
+        patch.setattr(time, "sleep", lambda seconds: None)  # skips 2 s for adapters that restart on opening
         bus = Bus.open(f"slcan:{os.ttyname(near)}", bitrate=500_000)
     os.close(near)
     return far, bus
 
 
-async def test_a_serial_adapter_receives_sends_and_can_be_pulled_out(serial_line: tuple[int, Bus]) -> None:
+async def test_serial_adapter_receives_sends_and_reports_its_removal(serial_line: tuple[int, Bus]) -> None:
     far, bus = serial_line
     consumer = Consumer()
     assert b"S6\r" in os.read(far, 100)  # 500 kbit/s
@@ -438,7 +441,7 @@ async def test_a_serial_adapter_receives_sends_and_can_be_pulled_out(serial_line
     assert not [thread for thread in threading.enumerate() if thread.name == "CAN bus"]
 
 
-async def test_a_serial_line_full_of_rubbish_is_no_bus(serial_line: tuple[int, Bus]) -> None:
+async def test_serial_line_with_invalid_data_takes_the_bus_down(serial_line: tuple[int, Bus]) -> None:
     far, bus = serial_line
     consumer = Consumer()
     bus.start(consumer.on_frames, consumer.on_down)
@@ -469,7 +472,7 @@ async def test_a_serial_line_full_of_rubbish_is_no_bus(serial_line: tuple[int, B
         (0x000, b"", ControllerState.UNKNOWN, "error class 000h"),
     ],
 )
-def test_error_frames_in_words(can_id: int, data: bytes, state: ControllerState, text: str) -> None:
+def test_error_frame_is_decoded_to_state_and_text(can_id: int, data: bytes, state: ControllerState, text: str) -> None:
     report = decode(CanFrame(0, can_id, data, error=True))
     assert report.state is state
     assert text in report.text
@@ -515,7 +518,7 @@ async def test_canopen_reads_a_node_over_the_link() -> None:
 
     far.send_message(0x083, b"\x10")  # an EMCY of one byte
     await until(lambda: link.malformed == 1, "the malformed EMCY")
-    far.send_message(0x183, bytes(8))  # PDO traffic passes canopen by
+    far.send_message(0x183, bytes(8))  # PDO traffic bypasses canopen
     await until(lambda: delivered[-1].can_id == 0x183, "the PDO")
 
     link.close()
@@ -525,7 +528,7 @@ async def test_canopen_reads_a_node_over_the_link() -> None:
     far.disconnect()
 
 
-async def test_sdo_over_a_lost_bus_ends_with_the_reason() -> None:
+async def test_sdo_over_a_lost_bus_raises_its_reason() -> None:
     port, bus, _ = scripted()
     link = CanopenLink(bus)
     remote = link.network.add_node(3, _dictionary())

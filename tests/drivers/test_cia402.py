@@ -1,4 +1,4 @@
-"""The CiA 402 state machine, the PDO codecs and a drive at run time, against models written apart from them."""
+"""The CiA 402 state machine, the PDO codecs and a drive at run time, compared with independently written models."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def drive_in(state: State, config: DriveConfig = GIMBAL) -> Drive:
 
 
 def report(drive: Drive, state: State, timestamp_ns: int = 1) -> None:
-    """Let the drive hear its own TPDO1 with a statusword of `state`."""
+    """Feed the drive a TPDO1 with a statusword of `state`."""
     drive.handle(CanFrame(timestamp_ns, 0x181, struct.pack("<Hih", WORDS[state], 0, 0)))
 
 
@@ -75,7 +75,7 @@ def controlword(drive: Drive, target: State, velocity: float = 0.0) -> int:
 
 
 def state_by_the_standard(word: int) -> State:
-    """The table of CiA 402, read bit by bit: 6 switch on disabled, 5 quick stop, 3 fault, 2 to 0."""
+    """The table of CiA 402, evaluated bit by bit: 6 switch on disabled, 5 quick stop, 3 fault, 2 to 0."""
     switch_on_disabled, quick_stop, fault = word >> 6 & 1, word >> 5 & 1, word >> 3 & 1
     low = word & 0b111
     if fault:
@@ -95,14 +95,14 @@ def state_by_the_standard(word: int) -> State:
     }.get((quick_stop, low), State.UNKNOWN)
 
 
-def test_every_statusword_has_the_state_of_the_standard() -> None:
+def test_every_statusword_is_classified_as_in_the_standard() -> None:
     wrong = [word for word in range(0x10000) if classify(word) is not state_by_the_standard(word)]
     assert wrong == []
     assert {classify(word) for word in range(0x10000)} == set(State)
 
 
 @pytest.mark.parametrize("state", list(State))
-def test_enable_operation_is_only_ever_sent_on_the_way_there(state: State) -> None:
+def test_enable_operation_is_only_sent_towards_operation_enabled(state: State) -> None:
     for target in TARGETS:
         word = controlword_towards(state, target)
         assert not word & 0x80, "a fault reset is never part of the way"
@@ -114,7 +114,7 @@ def test_enable_operation_is_only_ever_sent_on_the_way_there(state: State) -> No
 @pytest.mark.parametrize(
     "target", [State.NOT_READY_TO_SWITCH_ON, State.FAULT_REACTION_ACTIVE, State.FAULT, State.UNKNOWN]
 )
-def test_a_state_nobody_can_ask_for_is_refused(target: State) -> None:
+def test_target_state_that_cannot_be_commanded_is_refused(target: State) -> None:
     with pytest.raises(ValueError, match=target.value):
         controlword_towards(State.SWITCHED_ON, target)
 
@@ -124,7 +124,7 @@ def test_flags_of_a_statusword_are_named() -> None:
 
 
 class DriveOfTheStandard:
-    """A power drive system as the figure in CiA 402 draws it, in strings, by transition number. Written for the tests.
+    """The power drive system of the figure in CiA 402, with states as strings, by transition number. For tests only.
 
     `quick_stop_option` is 605Ah: 2 leaves quick stop active by itself after two cycles, 6 stays there.
     """
@@ -179,7 +179,7 @@ class DriveOfTheStandard:
 
 @dataclass(frozen=True)
 class Cycle:
-    """What the master asks for in one cycle, and what befalls the drive in it."""
+    """The request of the master in one cycle, and the mishap of the drive in it."""
 
     target: State
     reset: bool
@@ -189,7 +189,7 @@ class Cycle:
 cycles = st.lists(
     st.builds(
         Cycle,
-        # Mostly enabled, as a run is: else a walk would hardly ever get to Operation enabled.
+        # Mostly enabled, as in a run: otherwise a random sequence would hardly ever reach Operation enabled.
         target=st.sampled_from([State.OPERATION_ENABLED] * 6 + TARGETS),
         reset=st.booleans(),
         mishap=st.sampled_from(["none"] * 8 + ["fault", "torque off", "frame lost"]),
@@ -200,10 +200,12 @@ cycles = st.lists(
 
 @settings(max_examples=300, deadline=None)
 @given(cycles=cycles, quick_stop_option=st.sampled_from([2, 6]), latency=st.integers(0, 3))
-def test_a_drive_is_never_enabled_again_by_itself(cycles: list[Cycle], quick_stop_option: int, latency: int) -> None:
-    """After a mishap, or a target below Operation enabled, the drive runs again only after target down, then up."""
+def test_drive_is_never_enabled_again_before_the_target_was_lowered(
+    cycles: list[Cycle], quick_stop_option: int, latency: int
+) -> None:
+    """After a mishap, the drive is enabled again only after the target was lowered and raised."""
     drive, plant = Drive(GIMBAL), DriveOfTheStandard(quick_stop_option)
-    under_way = deque([plant.statusword()] * latency)
+    in_transit = deque([plant.statusword()] * latency)
     lowered = True  # the target has been below Operation enabled since the last mishap
     for number, cycle in enumerate(cycles, start=1):
         if cycle.reset:
@@ -224,30 +226,32 @@ def test_a_drive_is_never_enabled_again_by_itself(cycles: list[Cycle], quick_sto
             if plant.at == "enabled":
                 lowered = False
             plant.at = "switch on disabled"
-        under_way.append(plant.statusword())
-        arrived = under_way.popleft()
+        in_transit.append(plant.statusword())
+        arrived = in_transit.popleft()
         if cycle.mishap != "frame lost":
             drive.handle(CanFrame(number, 0x181, struct.pack("<Hih", arrived, 0, 0)))
 
 
 @settings(max_examples=100, deadline=None)
 @given(cycles=cycles, quick_stop_option=st.sampled_from([2, 6]), latency=st.integers(0, 3))
-def test_a_drive_can_always_be_enabled_in_order(cycles: list[Cycle], quick_stop_option: int, latency: int) -> None:
-    """Whatever happened: target down, fault reset, target up brings it to Operation enabled; quick stop ends that."""
+def test_drive_can_always_be_enabled_by_lowering_resetting_and_raising(
+    cycles: list[Cycle], quick_stop_option: int, latency: int
+) -> None:
+    """After any sequence: target down, fault reset, target up leads to Operation enabled, and quick stop leaves it."""
     drive, plant = Drive(GIMBAL), DriveOfTheStandard(quick_stop_option)
-    under_way = deque([plant.statusword()] * latency)
+    in_transit = deque([plant.statusword()] * latency)
 
     def run(target: State, count: int) -> None:
         for _ in range(count):
             plant.take(controlword(drive, target))
-            under_way.append(plant.statusword())
-            drive.handle(CanFrame(1, 0x181, struct.pack("<Hih", under_way.popleft(), 0, 0)))
+            in_transit.append(plant.statusword())
+            drive.handle(CanFrame(1, 0x181, struct.pack("<Hih", in_transit.popleft(), 0, 0)))
 
     for cycle in cycles:
         if cycle.mishap == "fault":
             plant.at = "fault"
         run(cycle.target, 1)
-    # Each of at most four steps takes the latency and one cycle; a pending reset, or an auto transition, as long again.
+    # Each of at most four steps takes the latency and one cycle; a pending reset or an automatic transition doubles it.
     steps = 8 * (latency + 1)
     run(State.SWITCH_ON_DISABLED, steps)
     if plant.at == "fault":
@@ -279,7 +283,7 @@ def test_fault_reset_gives_up_with_bit_7_low_again() -> None:
     assert drive.tripped
 
 
-def test_fault_reset_needs_a_fault() -> None:
+def test_fault_reset_is_refused_without_a_fault() -> None:
     for state in WORDS:
         if state is not State.FAULT:
             drive = drive_in(state)
@@ -288,7 +292,7 @@ def test_fault_reset_needs_a_fault() -> None:
     assert not Drive(GIMBAL).request_fault_reset()
 
 
-def test_after_a_reset_the_drive_waits_for_the_target_to_be_raised_again() -> None:
+def test_after_a_fault_reset_the_target_must_be_lowered_before_enabling() -> None:
     drive = drive_in(State.OPERATION_ENABLED)
     assert controlword(drive, State.OPERATION_ENABLED) == 0x7F
     report(drive, State.FAULT)
@@ -305,8 +309,8 @@ def test_after_a_reset_the_drive_waits_for_the_target_to_be_raised_again() -> No
     assert controlword(drive, State.OPERATION_ENABLED) == states.SHUTDOWN
 
 
-def test_a_drive_that_retries_by_itself_is_stopped() -> None:
-    """Some inverters clear a fault and run on by themselves; that must end in a quick stop."""
+def test_drive_that_re_enables_itself_is_quick_stopped() -> None:
+    """Some inverters clear a fault and continue by themselves; that must end in a quick stop."""
     drive = drive_in(State.OPERATION_ENABLED)
     controlword(drive, State.OPERATION_ENABLED)
     report(drive, State.FAULT)
@@ -318,7 +322,7 @@ def test_a_drive_that_retries_by_itself_is_stopped() -> None:
 def test_a_drive_that_drops_out_by_itself_is_held_in_quick_stop() -> None:
     drive = drive_in(State.OPERATION_ENABLED)
     controlword(drive, State.OPERATION_ENABLED)
-    report(drive, State.SWITCH_ON_DISABLED)  # safe torque off, say
+    report(drive, State.SWITCH_ON_DISABLED)  # for example by safe torque off
     assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
     assert drive.tripped
     assert "Switch on disabled" in drive.condition
@@ -334,14 +338,14 @@ def test_a_drive_that_drops_out_before_it_was_seen_enabled_is_not_enabled_again(
     assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
 
 
-def test_a_drop_to_switched_on_is_a_trip_too() -> None:
+def test_drop_to_switched_on_is_answered_with_quick_stop() -> None:
     drive = drive_in(State.OPERATION_ENABLED)
     controlword(drive, State.OPERATION_ENABLED)
     report(drive, State.SWITCHED_ON)
     assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
 
 
-def test_a_fault_on_the_way_up_that_clears_itself_is_held() -> None:
+def test_fault_during_enabling_that_clears_itself_is_held_in_quick_stop() -> None:
     drive = drive_in(State.READY_TO_SWITCH_ON)
     controlword(drive, State.OPERATION_ENABLED)
     report(drive, State.FAULT)
@@ -351,7 +355,7 @@ def test_a_fault_on_the_way_up_that_clears_itself_is_held() -> None:
     assert "while it was to be enabled" in drive.trip_reason
 
 
-def test_leaving_operation_enabled_on_command_is_no_trip() -> None:
+def test_leaving_operation_enabled_on_command_is_not_a_trip() -> None:
     drive = drive_in(State.OPERATION_ENABLED)
     controlword(drive, State.OPERATION_ENABLED)
     controlword(drive, State.QUICK_STOP_ACTIVE)
@@ -362,7 +366,7 @@ def test_leaving_operation_enabled_on_command_is_no_trip() -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_without_a_statusword_the_word_is_disable_voltage(target: State) -> None:
+def test_controlword_is_disable_voltage_before_the_first_statusword(target: State) -> None:
     assert controlword(Drive(GIMBAL), target, velocity=1.0) == 0
 
 
@@ -378,7 +382,7 @@ def test_setpoint_is_sent_within_half_a_step_and_read_back_bit_for_bit(config: D
     reader.handle(CanFrame(1, cob_id, data))
     assert struct.pack("<d", reader.setpoint) == struct.pack("<d", drive.setpoint)
     assert reader.controlword == drive.controlword
-    # Back by the units of the objects alone: rpm, 1/8192 rpm.
+    # Decoded from the units of the objects alone: rpm, 1/8192 rpm.
     if config.mode == 9:
         word, units = struct.unpack("<Hi", data)
         rpm = units / 8192
@@ -402,7 +406,7 @@ def test_setpoint_is_sent_within_half_a_step_and_read_back_bit_for_bit(config: D
         (COARSE, math.nan, (0,)),
     ],
 )
-def test_a_setpoint_that_does_not_fit_is_limited_and_counted(
+def test_setpoint_out_of_range_is_limited_and_counted(
     config: DriveConfig, velocity: float, expected: tuple[int, ...]
 ) -> None:
     drive = drive_in(State.OPERATION_ENABLED, config)
@@ -413,7 +417,7 @@ def test_a_setpoint_that_does_not_fit_is_limited_and_counted(
 
 
 @given(velocity=st.floats(-30.0, 30.0))
-def test_what_the_drive_cannot_tell_apart_is_not_asked_for(velocity: float) -> None:
+def test_setpoint_is_rounded_to_the_resolution_of_the_drive(velocity: float) -> None:
     config = replace(GIMBAL, setpoint_resolution=0.047)
     drive = drive_in(State.OPERATION_ENABLED, config)
     drive.command(State.OPERATION_ENABLED, velocity)
@@ -421,7 +425,7 @@ def test_what_the_drive_cannot_tell_apart_is_not_asked_for(velocity: float) -> N
     assert drive.setpoint == config.resolved(velocity) == -config.resolved(-velocity)
 
 
-def test_no_number_stands_still_whatever_the_resolution() -> None:
+def test_nan_velocity_gives_a_zero_setpoint_and_is_counted() -> None:
     drive = drive_in(State.OPERATION_ENABLED, replace(GIMBAL, setpoint_resolution=0.047))
     drive.command(State.OPERATION_ENABLED, math.nan)
     assert drive.setpoint == 0.0
@@ -429,7 +433,7 @@ def test_no_number_stands_still_whatever_the_resolution() -> None:
 
 
 @pytest.mark.parametrize("state", [state for state in WORDS if state is not State.OPERATION_ENABLED])
-def test_a_velocity_goes_only_to_an_enabled_drive(state: State) -> None:
+def test_velocity_is_only_sent_to_an_enabled_drive(state: State) -> None:
     drive = drive_in(state)
     ((_, data),) = drive.command(State.OPERATION_ENABLED, 0.7)
     assert data[2:] == bytes(4)
@@ -449,7 +453,7 @@ def test_controlword_and_setpoint_may_be_in_different_pdos() -> None:
 # Measured values
 
 
-def test_values_are_those_of_the_axis_in_si() -> None:
+def test_measured_values_are_axis_values_in_si_units() -> None:
     drive = Drive(GIMBAL)
     assert math.isnan(drive.position)
     assert drive.timestamp_ns == 0
@@ -463,7 +467,7 @@ def test_values_are_those_of_the_axis_in_si() -> None:
     assert (drive.timestamp_ns, drive.position_timestamp_ns, drive.statusword_timestamp_ns) == (70, 90, 70)
 
 
-def test_velocity_may_come_in_rpm_and_the_mode_with_it() -> None:
+def test_velocity_in_rpm_and_mode_display_can_be_mapped() -> None:
     config = replace(COARSE, tpdo=(("statusword", "velocity_actual_rpm", "mode_display"), ("position_actual",)))
     drive = Drive(config)
     drive.handle(CanFrame(1, 0x181, struct.pack("<Hhb", 0x0237, -600, 2)))
@@ -503,7 +507,7 @@ def test_frames_of_other_nodes_are_ignored() -> None:
     assert drive.statusword is None
 
 
-def test_reset_forgets_what_was_measured_and_keeps_the_state_machine() -> None:
+def test_reset_clears_measurements_and_keeps_the_state_machine() -> None:
     drive = drive_in(State.OPERATION_ENABLED)
     drive.handle(CanFrame(9, 0x281, bytes(4)))
     drive.command(State.OPERATION_ENABLED, 0.3)
@@ -531,7 +535,7 @@ def test_reset_forgets_what_was_measured_and_keeps_the_state_machine() -> None:
         (0x3220, "DC link under-voltage"),
         (0x4210, "device over-temperature"),
         (0x7305, "incremental encoder 1"),
-        (0x7307, "sensor"),  # not in the table: the class
+        (0x7307, "sensor"),  # not in the table: named by its class
         (0x2311, "continuous over-current"),
         (0x8F42, "monitoring"),
         (0xFF7F, "vendor-specific"),
@@ -547,7 +551,7 @@ def test_every_error_code_has_a_text() -> None:
     assert all(emergency.describe(code).startswith(f"{code:04X}h ") for code in range(0x10000))
 
 
-def test_an_emergency_is_in_force_until_it_is_cleared() -> None:
+def test_emergency_stays_active_until_it_is_cleared() -> None:
     drive = Drive(GIMBAL)
     drive.handle(CanFrame(3, 0x081, struct.pack("<HB5s", 0x7305, 0b0010_0001, b"\x01\x02\x03\x04\x05")))
     assert drive.emergency is not None
@@ -562,7 +566,7 @@ def test_an_emergency_is_in_force_until_it_is_cleared() -> None:
     assert drive.emergency_count == 1
 
 
-def test_a_done_fault_reset_ends_the_emergency_of_a_drive_that_does_not_say_so() -> None:
+def test_completed_fault_reset_clears_an_emergency_that_the_drive_did_not_clear() -> None:
     drive = drive_in(State.FAULT)
     drive.handle(CanFrame(3, 0x081, struct.pack("<HB5s", 0x2310, 2, bytes(5))))
     assert drive.request_fault_reset()
@@ -574,7 +578,7 @@ def test_a_done_fault_reset_ends_the_emergency_of_a_drive_that_does_not_say_so()
     assert drive.emergency is None
 
 
-def test_heartbeat_tells_the_nmt_state_and_an_unexpected_boot_up() -> None:
+def test_heartbeat_reports_the_nmt_state_and_an_unexpected_boot_up() -> None:
     drive = Drive(GIMBAL)
     for number, (byte, state) in enumerate([(b"\x00", NmtState.BOOT_UP), (b"\x85", NmtState.OPERATIONAL)], start=1):
         drive.handle(CanFrame(number, 0x701, byte))
@@ -599,7 +603,7 @@ def test_heartbeat_tells_the_nmt_state_and_an_unexpected_boot_up() -> None:
     assert drive.restarted, "though it had not sent anything yet"
 
 
-def test_nmt_frames() -> None:
+def test_nmt_command_and_heartbeat_frames_are_encoded() -> None:
     assert nmt.command_frame(NmtCommand.START, 3) == (0x000, b"\x01\x03")
     assert nmt.heartbeat_frame(127) == (0x77F, b"\x05")
 
@@ -628,7 +632,7 @@ def test_nmt_frames() -> None:
         ({"tpdo": (("statusword",),) * 5}, "tpdo", "5 PDOs"),
     ],
 )
-def test_a_wrong_configuration_names_drive_and_key(change: dict[str, object], key: str, words: str) -> None:
+def test_invalid_configuration_error_names_drive_and_key(change: dict[str, object], key: str, words: str) -> None:
     with pytest.raises(DriveConfigError, match=words) as caught:
         replace(GIMBAL, **change)  # type: ignore[arg-type]
     assert caught.value.key == key
@@ -636,7 +640,7 @@ def test_a_wrong_configuration_names_drive_and_key(change: dict[str, object], ke
     assert caught.value.remedy
 
 
-def test_a_missing_eds_names_what_is_shipped() -> None:
+def test_missing_eds_error_lists_the_shipped_files() -> None:
     assert find_eds("upright_servo.eds", drive="gimbal").is_file()
     with pytest.raises(DriveConfigError, match=r"'keb\.eds'.*upright_servo\.eds"):
         find_eds("keb.eds", drive="gimbal")

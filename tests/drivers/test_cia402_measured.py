@@ -1,4 +1,4 @@
-"""The CiA 402 driver against drives nobody here wrote: a logged boot of an Elmo drive, and four makers' EDS files."""
+"""The CiA 402 driver with third-party drives: a logged boot of an Elmo drive, and EDS files of four manufacturers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def log(measured_data: Path) -> list[CanFrame]:
 
 
 class LoggedBus:
-    """In place of a network: answers each SDO request as the drive in the log did."""
+    """Replaces a network: answers each SDO request as the drive in the log did."""
 
     def __init__(self, frames: list[CanFrame]) -> None:
         requests = [frame.data for frame in frames if frame.can_id == 0x603]
@@ -67,7 +67,7 @@ class LoggedBus:
         self.client.on_response(0x583, self.answers[bytes(data)], 0.0)
 
 
-def test_the_logged_drive_boots_and_enables_as_our_state_machine_would_have_it(log: list[CanFrame]) -> None:
+def test_logged_drive_boots_and_enables_as_our_state_machine_expects(log: list[CanFrame]) -> None:
     drive = Drive(LOGGED)
     seen: list[tuple[NmtState | None, State]] = []
     for frame in log:
@@ -84,14 +84,14 @@ def test_the_logged_drive_boots_and_enables_as_our_state_machine_would_have_it(l
     assert not drive.restarted
     assert drive.wrong_length == 0
     assert drive.statusword_timestamp_ns == 1730301035_299369000
-    # The master in the log led the drive up by SDO: the very words that our state machine sends on the way.
+    # The master in the log enabled the drive by SDO, with the same controlwords that our state machine sends.
     words = [int.from_bytes(frame.data[4:6], "little") for frame in log if frame.data[:4] == b"\x2b\x40\x60\x00"]
-    way = [State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON]
-    assert words == [states.controlword_towards(state, State.OPERATION_ENABLED) for state in way]
+    path_up = [State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON]
+    assert words == [states.controlword_towards(state, State.OPERATION_ENABLED) for state in path_up]
 
 
-def test_the_logged_drive_answers_our_reads(log: list[CanFrame]) -> None:
-    """Its expedited answers carry four bytes and no size, whatever the object's length is."""
+def test_answers_of_the_logged_drive_to_our_reads_are_decoded(log: list[CanFrame]) -> None:
+    """Its expedited answers carry four bytes and no size, whatever the length of the object."""
     node = canopen.RemoteNode(3, canopen.import_od(None))
     bus = LoggedBus(log)
     bus.client = node.sdo
@@ -112,7 +112,9 @@ EDS_FILES = [
 
 
 @pytest.mark.parametrize(("name", "vendor", "at_least"), EDS_FILES)
-def test_our_object_types_are_those_of_real_drives(measured_data: Path, name: str, vendor: int, at_least: int) -> None:
+def test_object_types_match_the_eds_files_of_real_drives(
+    measured_data: Path, name: str, vendor: int, at_least: int
+) -> None:
     path = measured_data / "eds_cia402" / name
     config = replace(LOGGED, eds=str(path))
     _, dictionary = load(config)
@@ -127,8 +129,8 @@ def test_our_object_types_are_those_of_real_drives(measured_data: Path, name: st
     assert all(found is not None and found.pdo_mappable for found in mapped)
 
 
-def test_a_mapping_that_a_real_drive_cannot_carry_is_refused(measured_data: Path) -> None:
-    """Elmo's drive has no velocity mode (2), Nanotec's has: its EDS takes 6042h, and not another maker's fine part."""
+def test_mapping_that_a_real_drive_does_not_support_is_refused(measured_data: Path) -> None:
+    """Elmo's drive has no velocity mode (2). Nanotec's has: its EDS has 6042h, but no fine part of another maker."""
     folder = measured_data / "eds_cia402"
     plain = replace(LOGGED, mode=2)
     with pytest.raises(EdsError, match=r"Elmo\.dcf.*does not have this object"):

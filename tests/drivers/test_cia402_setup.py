@@ -1,4 +1,4 @@
-"""Set-up of a drive over SDO, against a canopen LocalNode made from the shipped EDS, on a virtual bus."""
+"""Set-up of a drive over SDO, with a canopen LocalNode made from the shipped EDS, on a virtual bus."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SUPERVISION = Supervision(
 
 
 class Device:
-    """The drive's side: a LocalNode that shows the mode asked for, and switches off when it is told to."""
+    """The drive's side: a LocalNode that displays the requested mode and switches off on command."""
 
     def __init__(self, network: Any) -> None:
         self.node = network.create_node(SERVO.node, str(find_eds(SERVO.eds, drive="trim")))
@@ -80,7 +80,7 @@ class Device:
 @contextmanager
 def connected(channel: str) -> Iterator[canopen.Network]:
     network = canopen.Network()
-    network.NOTIFIER_CYCLE = 0.02  # its thread looks that often whether it shall end
+    network.NOTIFIER_CYCLE = 0.02  # s, interval at which its thread checks whether to end
     network.connect(interface="virtual", channel=channel)
     try:
         yield network
@@ -111,7 +111,7 @@ def refused(network: canopen.Network, config: DriveConfig = SERVO) -> DriveSetup
     return error
 
 
-def test_the_shipped_eds_reads_without_a_complaint(caplog: pytest.LogCaptureFixture) -> None:
+def test_shipped_eds_loads_without_log_messages(caplog: pytest.LogCaptureFixture) -> None:
     path = str(find_eds("upright_servo.eds", drive="trim"))
     with caplog.at_level(logging.INFO):
         local, remote = canopen.LocalNode(3, path), canopen.RemoteNode(3, path)
@@ -123,7 +123,7 @@ def test_the_shipped_eds_reads_without_a_complaint(caplog: pytest.LogCaptureFixt
             assert local.get_data(variable.index, variable.subindex), f"{variable.qualname} has no value to answer with"
 
 
-def test_a_drive_is_configured_and_reports_what_it_is(network: canopen.Network, device: Device) -> None:
+def test_drive_is_configured_and_reports_its_identity_and_options(network: canopen.Network, device: Device) -> None:
     report = configure(network, SERVO, SUPERVISION)
     assert device.node.nmt.state == "PRE-OPERATIONAL"
     assert device.get(0x1016, 1) == 127 << 16 | 120
@@ -142,15 +142,13 @@ def test_a_drive_is_configured_and_reports_what_it_is(network: canopen.Network, 
     assert configure(network, SERVO, SUPERVISION).changes == (), "what is right is not written again"
 
 
-def test_the_mapping_of_the_shipped_eds_is_that_of_the_shipped_vehicle(
-    network: canopen.Network, device: Device
-) -> None:
+def test_pdo_mapping_of_the_shipped_eds_is_not_rewritten(network: canopen.Network, device: Device) -> None:
     configure(network, SERVO, SUPERVISION)
     mappings = {*range(0x1600, 0x1800), *range(0x1A00, 0x1C00)}
     assert not [entry for entry in device.written if entry[0] in mappings]
 
 
-def test_mode_9_gets_its_own_mapping_and_the_cycle(network: canopen.Network, device: Device) -> None:
+def test_mode_9_gets_its_own_mapping_and_interpolation_period(network: canopen.Network, device: Device) -> None:
     config = replace(SERVO, mode=9, rpdo=(("controlword", "target_velocity"),), stop_reaction="disable_voltage")
     for period, expected in ((0.004, (4, -3)), (0.0025, (25, -4)), (0.01, (10, -3))):
         report = configure(network, config, replace(SUPERVISION, cycle_period=period))
@@ -161,14 +159,12 @@ def test_mode_9_gets_its_own_mapping_and_the_cycle(network: canopen.Network, dev
     assert device.get(0x1400, 1) == 0x203
 
 
-def test_a_mapping_that_differs_is_rewritten_in_the_order_of_the_standard(
-    network: canopen.Network, device: Device
-) -> None:
+def test_different_mapping_is_rewritten_in_the_order_of_the_standard(network: canopen.Network, device: Device) -> None:
     for place, entry in enumerate((2, 0x60410010, 0x60610008)):
         device.set(0x1A00, place, entry)
     device.set(0x1800, 2, 255)
-    device.set(0x1802, 1, 0x40000383)  # a TPDO too many, on
-    device.set(0x1801, 1, 0xC0000283)  # off, and not to be asked for by a remote frame
+    device.set(0x1802, 1, 0x40000383)  # one TPDO too many, enabled
+    device.set(0x1801, 1, 0xC0000283)  # disabled, and no remote frame allowed
     report = configure(network, SERVO, SUPERVISION)
     steps = [(index, subindex) for index, subindex, _ in device.written if index in (0x1800, 0x1A00)]
     assert steps == [
@@ -188,7 +184,7 @@ def test_a_mapping_that_differs_is_rewritten_in_the_order_of_the_standard(
     assert any(change.startswith("TPDO1: carries 6041h:0 (16 bit), 606Ch:0 (32 bit)") for change in report.changes)
 
 
-def test_a_mapping_that_differs_and_is_fixed(network: canopen.Network, device: Device) -> None:
+def test_different_mapping_that_is_read_only_is_refused(network: canopen.Network, device: Device) -> None:
     device.set(0x1A01, 1, 0x606C0020)
     device.dictionary.get_variable(0x1A01, 0).access_type = "ro"
     error = refused(network)
@@ -199,7 +195,7 @@ def test_a_mapping_that_differs_and_is_fixed(network: canopen.Network, device: D
     assert error.entry.index == 0x1A01
 
 
-def test_a_mapping_that_the_drive_silently_keeps(network: canopen.Network, device: Device) -> None:
+def test_mapping_that_the_drive_silently_keeps_is_refused(network: canopen.Network, device: Device) -> None:
     device.set(0x1600, 1, 0x60420010)
 
     def keep(index: int, subindex: int, od: object) -> int | None:
@@ -209,7 +205,9 @@ def test_a_mapping_that_the_drive_silently_keeps(network: canopen.Network, devic
     assert "RPDO1 carries 6042h:0 (16 bit)" in str(refused(network))
 
 
-def test_a_drive_that_takes_setpoints_only_as_they_come(network: canopen.Network, device: Device) -> None:
+def test_asynchronous_rpdo_gives_a_warning_and_asynchronous_tpdo_is_refused(
+    network: canopen.Network, device: Device
+) -> None:
     device.set(0x1400, 2, 255)
     device.dictionary.get_variable(0x1400, 2).access_type = "ro"
     assert "a setpoint acts when it arrives" in " ".join(configure(network, SERVO, SUPERVISION).warnings)
@@ -218,7 +216,7 @@ def test_a_drive_that_takes_setpoints_only_as_they_come(network: canopen.Network
     assert "TPDO1 transmission type" in str(refused(network))
 
 
-def test_more_pdos_than_the_drive_has(network: canopen.Network, device: Device) -> None:
+def test_more_pdos_than_the_drive_has_are_refused(network: canopen.Network, device: Device) -> None:
     device.lacks(0x1801, 0x1A01)
     assert "the drive has no TPDO2" in str(refused(network))
 
@@ -238,7 +236,7 @@ def test_a_missing_node(network: canopen.Network, monkeypatch: pytest.MonkeyPatc
     assert [data[0] for data in requests] == [0x40] * ATTEMPTS + [0x80], "asked a few times, then the transfer aborted"
 
 
-def test_a_node_that_falls_silent_in_between(
+def test_node_that_stops_answering_during_setup_is_reported(
     network: canopen.Network, device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SdoClient, "RESPONSE_TIMEOUT", 0.02)
@@ -254,7 +252,7 @@ def test_a_node_that_falls_silent_in_between(
 
 
 @pytest.mark.parametrize(("change", "key"), [({"vendor_id": 0x9A}, "vendor_id"), ({"product_code": 7}, "product_code")])
-def test_the_wrong_drive_under_the_node_id(
+def test_wrong_drive_at_the_node_id_is_refused_and_not_written(
     network: canopen.Network, device: Device, change: dict[str, int], key: str
 ) -> None:
     error = refused(network, replace(SERVO, **change))  # type: ignore[arg-type]
@@ -266,7 +264,7 @@ def test_the_wrong_drive_under_the_node_id(
     configure(network, replace(SERVO, **{key: right[key]}), SUPERVISION)  # type: ignore[arg-type]
 
 
-def test_a_device_that_is_no_drive(network: canopen.Network, device: Device) -> None:
+def test_device_of_another_profile_is_refused(network: canopen.Network, device: Device) -> None:
     device.set(0x1000, 0, 0x00000191)  # CiA 401, I/O
     assert "profile 401, not 402" in str(refused(network))
     assert device.written == []
@@ -296,7 +294,7 @@ def edited_eds(folder: Path, old: str, new: str) -> DriveConfig:
         ("[6041]", "[6040]", "cannot be read"),
     ],
 )
-def test_an_eds_that_does_not_match(
+def test_mismatched_or_invalid_eds_is_refused(
     network: canopen.Network, device: Device, tmp_path: Path, old: str, new: str, words: str
 ) -> None:
     error = refused(network, edited_eds(tmp_path, old, new))
@@ -307,36 +305,36 @@ def test_an_eds_that_does_not_match(
     assert device.written == []
 
 
-def test_an_eds_may_leave_the_identity_open(network: canopen.Network, device: Device, tmp_path: Path) -> None:
+def test_eds_may_omit_the_product_number(network: canopen.Network, device: Device, tmp_path: Path) -> None:
     config = edited_eds(tmp_path, "ProductNumber=0x00000402\n", "")
     assert configure(network, config, SUPERVISION).eds.endswith("other.eds")
 
 
-def test_an_eds_that_is_not_there(network: canopen.Network) -> None:
+def test_missing_eds_file_is_refused(network: canopen.Network) -> None:
     with pytest.raises(DriveConfigError, match=r"no file 'absent\.eds'"):
         configure(network, replace(SERVO, eds="absent.eds"), SUPERVISION)
 
 
-def test_an_object_that_only_the_eds_has(network: canopen.Network, device: Device) -> None:
+def test_object_of_the_eds_that_the_drive_lacks_is_refused(network: canopen.Network, device: Device) -> None:
     device.lacks(0x2F15)
     error = refused(network)
     assert isinstance(error, EdsError)
     assert "target_velocity_fine (2F15h:0)" in str(error)
 
 
-def test_an_object_with_another_length_in_the_drive(network: canopen.Network, device: Device) -> None:
+def test_object_with_another_length_in_the_drive_is_refused(network: canopen.Network, device: Device) -> None:
     device.dictionary.get_variable(0x6042, 0).data_type = INTEGER32
     assert "target_velocity (6042h:0): has 4 bytes in the drive, not 2" in str(refused(network))
 
 
-def test_a_mode_that_the_drive_does_not_have(network: canopen.Network, device: Device) -> None:
+def test_unsupported_mode_is_refused_and_not_written(network: canopen.Network, device: Device) -> None:
     device.set(0x6502, 0, 0b1_0000_0101)  # 1, 3, 9
     error = refused(network)
     assert "modes 1, 3, 9, but not mode 2" in str(error)
     assert not [entry for entry in device.written if entry[0] == 0x6060]
 
 
-def test_a_mode_that_the_drive_does_not_take(
+def test_mode_that_the_drive_does_not_adopt_is_refused(
     network: canopen.Network, device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
@@ -344,13 +342,13 @@ def test_a_mode_that_the_drive_does_not_take(
     assert "is 0 after mode 2 was requested" in str(refused(network))
 
 
-def test_a_drive_that_keeps_another_value(network: canopen.Network, device: Device) -> None:
+def test_value_that_does_not_read_back_is_refused(network: canopen.Network, device: Device) -> None:
     device.node.add_read_callback(lambda index, subindex, od: 1 if index == 0x6007 else None)
     error = refused(network)
     assert "abort connection option code (6007h:0): is still 0x1 after 0x3" in str(error)
 
 
-def test_a_drive_that_refuses_a_value(network: canopen.Network, device: Device) -> None:
+def test_sdo_abort_of_a_write_is_reported_with_its_object(network: canopen.Network, device: Device) -> None:
     def refuse(index: int, subindex: int, od: object, data: bytes) -> None:
         if index == 0x1017:
             raise canopen.SdoAbortedError(0x06090031)
@@ -361,7 +359,7 @@ def test_a_drive_that_refuses_a_value(network: canopen.Network, device: Device) 
     assert "SDO abort 06090031h" in str(error)
 
 
-def test_what_the_drive_lacks_is_reported_with_the_reason(network: canopen.Network, device: Device) -> None:
+def test_missing_optional_objects_are_reported_as_warnings(network: canopen.Network, device: Device) -> None:
     device.lacks(0x1005, 0x1014, 0x6007, 0x605A, 0x6502)
     del device.dictionary[0x1400][5]
     report: DriveReport = configure(network, SERVO, SUPERVISION)
@@ -372,7 +370,7 @@ def test_what_the_drive_lacks_is_reported_with_the_reason(network: canopen.Netwo
     assert not report.watches_rpdos
 
 
-def test_a_drive_that_could_not_stop_by_itself_is_refused(network: canopen.Network, device: Device) -> None:
+def test_drive_without_heartbeat_or_rpdo_supervision_is_refused(network: canopen.Network, device: Device) -> None:
     device.lacks(0x1016)
     assert not configure(network, SERVO, SUPERVISION).watches_heartbeat
     del device.dictionary[0x1400][5]
@@ -386,7 +384,7 @@ def test_a_drive_that_is_still_enabled_is_switched_off_first(network: canopen.Ne
     assert device.written[0] == (0x6040, 0, 0)
 
 
-def test_a_drive_that_does_not_switch_off(
+def test_drive_that_does_not_switch_off_is_refused(
     network: canopen.Network, device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
@@ -395,7 +393,7 @@ def test_a_drive_that_does_not_switch_off(
     assert "stays in Operation enabled after disable voltage" in str(refused(network))
 
 
-def test_a_drive_in_fault_is_configured_and_its_error_named(network: canopen.Network, device: Device) -> None:
+def test_drive_in_fault_is_configured_and_its_error_is_reported(network: canopen.Network, device: Device) -> None:
     device.set(0x6041, 0, 0x0218)
     device.set(0x603F, 0, 0x8130)
     report = configure(network, SERVO, SUPERVISION)
@@ -404,12 +402,12 @@ def test_a_drive_in_fault_is_configured_and_its_error_named(network: canopen.Net
     assert not [entry for entry in device.written if entry[0] == 0x6040], "set-up resets no fault"
 
 
-def test_a_quick_stop_without_a_ramp_is_pointed_out(network: canopen.Network, device: Device) -> None:
+def test_quick_stop_without_a_ramp_gives_a_warning(network: canopen.Network, device: Device) -> None:
     device.set(0x605A, 0, 0)
     assert any("without a ramp" in warning for warning in configure(network, SERVO, SUPERVISION).warnings)
 
 
-def test_a_drive_that_makes_sync_itself_is_told_not_to(network: canopen.Network, device: Device) -> None:
+def test_sync_generation_by_the_drive_is_switched_off(network: canopen.Network, device: Device) -> None:
     device.set(0x1005, 0, 0x40000080)
     configure(network, SERVO, SUPERVISION)
     assert device.get(0x1005) == 0x80

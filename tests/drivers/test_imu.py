@@ -1,4 +1,4 @@
-"""The LPMS-IG1 driver: layouts there and back, frame sets that are not whole, and readings not to be believed."""
+"""The LPMS-IG1 driver: encoding and decoding of layouts, incomplete frame sets, and implausible readings."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def frames_at(number: int, config: ImuConfig = CANOPEN, spacing_ns: int = 120_00
     ]
 
 
-def stretch(config: ImuConfig, sets: int = 100) -> list[CanFrame]:
+def stream(config: ImuConfig, sets: int = 100) -> list[CanFrame]:
     period_ns = round(1e9 / config.rate)
     return [
         replace(frame, timestamp_ns=frame.timestamp_ns + number * (period_ns - PERIOD_NS))
@@ -67,7 +67,7 @@ def feed(imu: Imu, frames: list[CanFrame]) -> list[ImuSample]:
 # Layout
 
 
-def test_float_frames_are_as_documented() -> None:
+def test_float_frames_decode_as_documented() -> None:
     frames = [
         CanFrame(1, 0x18A, struct.pack("<2f", 0.1, -0.2)),
         CanFrame(2, 0x28A, struct.pack("<2f", 0.98, 10.0)),
@@ -79,7 +79,7 @@ def test_float_frames_are_as_documented() -> None:
     assert sample.angular_rate == pytest.approx(tuple(map(math.radians, (10.0, -20.0, 30.0))), rel=1e-6)
 
 
-def test_angular_rate_unit_counts_for_floats_alone() -> None:
+def test_angular_rate_unit_applies_only_to_floats() -> None:
     frames = encode_frames(CANOPEN, sample_at(0))
     (in_degrees,) = feed(Imu(CANOPEN), frames)
     (in_radians,) = feed(Imu(replace(CANOPEN, angular_rate_unit="rad/s", angular_rate_range=1e3)), frames)
@@ -91,7 +91,7 @@ def test_angular_rate_unit_counts_for_floats_alone() -> None:
 
 
 @pytest.mark.parametrize("padded", [False, True])
-def test_integer_frames_are_as_documented(padded: bool) -> None:
+def test_integer_frames_decode_as_documented(padded: bool) -> None:
     second = struct.pack("<2h", -200, 300) + (bytes(4) if padded else b"")
     frames = [CanFrame(1, 0x514, struct.pack("<4h", 100, -200, 980, 100)), CanFrame(2, 0x515, second)]
     (sample,) = feed(Imu(SEQUENTIAL), frames)
@@ -99,7 +99,7 @@ def test_integer_frames_are_as_documented(padded: bool) -> None:
     assert sample.angular_rate == pytest.approx(tuple(map(math.radians, (10.0, -20.0, 30.0))))
 
 
-def test_other_slots_are_passed_over() -> None:
+def test_other_slots_are_ignored() -> None:
     slots = (*QUATERNION, "off", *ANGULAR_RATE, *ACCELERATION, "temperature")
     config = replace(SEQUENTIAL, slots=slots, precision="float32")
     assert config.can_ids == tuple(range(0x514, 0x51A))
@@ -116,7 +116,7 @@ def test_other_slots_are_passed_over() -> None:
     angular_rate=st.tuples(*[st.floats(-6.9, 6.9)] * 3),
     precision=st.sampled_from(["float32", "int16"]),
 )
-def test_every_mounting_decodes_what_it_encoded(order, signs, inverted, acceleration, angular_rate, precision) -> None:  # type: ignore[no-untyped-def]
+def test_every_right_handed_mounting_round_trips(order, signs, inverted, acceleration, angular_rate, precision) -> None:  # type: ignore[no-untyped-def]
     axes = tuple(("+" if sign > 0 else "-") + "xyz"[axis] for axis, sign in zip(order, signs, strict=True))
     matrix = np.zeros((3, 3))
     matrix[range(3), order] = signs
@@ -143,14 +143,14 @@ def test_axes_name_the_sensor_axis_along_each_vehicle_axis() -> None:
     assert sample.angular_rate == pytest.approx((-0.2, 0.1, 0.3))
 
 
-def test_inverted_accelerometer_leaves_the_gyro_alone() -> None:
+def test_inverted_accelerometer_does_not_affect_the_gyro() -> None:
     frames = encode_frames(CANOPEN, ImuSample(0, (1.0, 2.0, -9.8), (0.1, 0.2, 0.3)))
     (sample,) = feed(Imu(replace(CANOPEN, acceleration_sign=-1)), frames)
     assert sample.acceleration == pytest.approx((-1.0, -2.0, 9.8))
     assert sample.angular_rate == pytest.approx((0.1, 0.2, 0.3))
 
 
-def test_latency_comes_off_the_receive_time_of_the_last_frame() -> None:
+def test_latency_is_subtracted_from_the_receive_time_of_the_last_frame() -> None:
     config = replace(CANOPEN, latency=0.003)
     frames = frames_at(0)
     (sample,) = feed(Imu(config), frames)
@@ -174,7 +174,7 @@ def test_latency_comes_off_the_receive_time_of_the_last_frame() -> None:
         ({"base_id": 0x7FE, "protocol": "sequential"}, "base_id", "11-bit"),
     ],
 )
-def test_impossible_settings_name_key_and_remedy(changes: dict[str, object], key: str, text: str) -> None:
+def test_invalid_settings_error_names_key_and_remedy(changes: dict[str, object], key: str, text: str) -> None:
     with pytest.raises(ImuConfigError, match=text) as caught:
         replace(CANOPEN, **changes)
     assert caught.value.key == key
@@ -189,13 +189,13 @@ def test_rotation_of_gives_axis_and_sign() -> None:
 # Sets
 
 
-def test_sets_come_out_whole_and_frames_of_others_are_ignored() -> None:
+def test_complete_sets_are_decoded_and_foreign_frames_are_ignored() -> None:
     imu = Imu(CANOPEN)
-    stranger = CanFrame(1_000_000_000, 0x181, bytes(8))
+    foreign = CanFrame(1_000_000_000, 0x181, bytes(8))
     samples = []
     for number in range(20):
         first, *rest = frames_at(number)
-        samples += feed(imu, [first, stranger, *rest])
+        samples += feed(imu, [first, foreign, *rest])
     assert [sample.timestamp_ns for sample in samples] == [sample_at(number).timestamp_ns for number in range(20)]
     statistics = imu.statistics
     assert (statistics.sets, statistics.incomplete, statistics.duplicates, statistics.gaps) == (20, 0, 0, 0)
@@ -216,7 +216,7 @@ def test_sets_come_out_whole_and_frames_of_others_are_ignored() -> None:
         ((), 0, 0, 0),
     ],
 )
-def test_only_whole_sets_in_order_count(
+def test_only_complete_sets_in_order_are_used(
     order: tuple[int, ...], published: int, incomplete: int, duplicates: int
 ) -> None:
     imu = Imu(CANOPEN)
@@ -238,7 +238,7 @@ def test_frames_of_two_sets_are_not_joined() -> None:
     assert len(feed(imu, frames_at(2))) == 1
 
 
-def test_start_amid_a_set_counts_as_nothing_lost() -> None:
+def test_start_in_the_middle_of_a_set_is_not_counted_as_incomplete() -> None:
     imu = Imu(CANOPEN)
     feed(imu, frames_at(0)[1:])
     assert len(feed(imu, frames_at(1))) == 1
@@ -246,7 +246,7 @@ def test_start_amid_a_set_counts_as_nothing_lost() -> None:
 
 
 @pytest.mark.parametrize("length", [0, 4, 6, 7])
-def test_wrong_length_names_id_lengths_and_remedy(length: int) -> None:
+def test_wrong_length_fault_names_id_lengths_and_key(length: int) -> None:
     imu = Imu(CANOPEN)
     first, second, third = frames_at(0)
     assert feed(imu, [first, replace(second, data=second.data[:length]), third]) == []
@@ -262,7 +262,7 @@ def test_wrong_length_names_id_lengths_and_remedy(length: int) -> None:
 # Health
 
 
-def test_age_and_silence_by_times_handed_in() -> None:
+def test_age_and_silence_depend_on_the_time_passed_in() -> None:
     imu = Imu(CANOPEN)
     assert imu.age_ns(5) is None
     assert imu.health(5) is ImuHealth.SILENT
@@ -273,7 +273,7 @@ def test_age_and_silence_by_times_handed_in() -> None:
     assert imu.health(now_ns + PERIOD_NS * 3 // 2 + 1) is ImuHealth.SILENT
 
 
-def test_latency_is_no_silence() -> None:
+def test_latency_does_not_count_as_silence() -> None:
     imu = Imu(replace(CANOPEN, latency=0.02))
     (sample,) = feed(imu, frames_at(0))
     assert imu.age_ns(sample.timestamp_ns + 20_000_000) == 20_000_000
@@ -281,7 +281,7 @@ def test_latency_is_no_silence() -> None:
 
 
 @pytest.mark.parametrize(("interval", "gaps"), [(1.0, 0), (1.4, 0), (1.6, 1), (5.0, 1), (-1.0, 1), (0.0, 1)])
-def test_gaps_are_intervals_beyond_jitter(interval: float, gaps: int) -> None:
+def test_intervals_beyond_jitter_count_as_gaps(interval: float, gaps: int) -> None:
     imu = Imu(CANOPEN)
     feed(imu, frames_at(0))
     shift_ns = round((interval - 1.0) * PERIOD_NS)
@@ -291,7 +291,7 @@ def test_gaps_are_intervals_beyond_jitter(interval: float, gaps: int) -> None:
 
 
 @pytest.mark.parametrize(("config", "limit"), [(CANOPEN, 5), (SEQUENTIAL, 25)])
-def test_sensor_that_repeats_itself_is_stuck_until_it_moves(config: ImuConfig, limit: int) -> None:
+def test_repeated_samples_are_stuck_until_they_change(config: ImuConfig, limit: int) -> None:
     imu = Imu(config)
     health = []
     for number in range(limit + 2):
@@ -313,7 +313,7 @@ def test_frozen_gyro_alone_is_not_stuck() -> None:
 
 
 def test_sixteen_bit_sensor_at_rest_is_not_stuck() -> None:
-    # A gyro that always reads 0 in steps of 0.1 deg/s and 4 mm/s^2 of accelerometer noise in steps of 10: 60 s.
+    # 60 s of a gyro that always reads 0 at 0.1 deg/s resolution, and 4 mm/s^2 accelerometer noise at 10 mm/s^2.
     noise = np.random.default_rng(5).normal(0.0, 0.004, (15_000, 3)).tolist()
     imu = Imu(SEQUENTIAL)
     for number, (x, y, z) in enumerate(noise):
@@ -350,7 +350,7 @@ def test_readings_beyond_their_range_are_dropped(reading: tuple[float, ...]) -> 
 # Replay
 
 
-def test_reset_begins_with_the_first_set_that_starts_in_time() -> None:
+def test_reset_uses_the_first_set_that_begins_after_the_start_time() -> None:
     """Live and replay agree on the sets, whichever frame the reset falls on."""
     log = [frame for number in range(6) for frame in frames_at(number)]
     for place, frame in enumerate(log):
@@ -373,7 +373,7 @@ def test_reset_keeps_an_open_set_that_began_after_the_start() -> None:
     assert len(feed(live, [third])) == 1
 
 
-def test_reset_forgets_readings_and_health_but_not_the_counts() -> None:
+def test_reset_clears_readings_and_health_but_keeps_the_counts() -> None:
     imu = Imu(CANOPEN)
     for number in range(10):
         feed(imu, encode_frames(CANOPEN, replace(sample_at(0), timestamp_ns=sample_at(number).timestamp_ns)))
@@ -406,8 +406,8 @@ FORMATS = [
 
 
 @pytest.mark.parametrize("sent", FORMATS)
-def test_stream_is_recognised_among_drives(sent: ImuConfig) -> None:
-    found = recognise_format(DRIVES + stretch(sent)[1:])
+def test_imu_format_is_recognised_among_drive_frames(sent: ImuConfig) -> None:
+    found = recognise_format(DRIVES + stream(sent)[1:])
     assert found is not None
     assert (found.protocol, found.can_ids, found.precision) == (sent.protocol, sent.can_ids, sent.precision)
     assert found.rate == pytest.approx(sent.rate, rel=0.02)
@@ -415,8 +415,8 @@ def test_stream_is_recognised_among_drives(sent: ImuConfig) -> None:
 
 @pytest.mark.parametrize("expected", FORMATS)
 @pytest.mark.parametrize("sent", FORMATS)
-def test_each_format_passes_as_itself_alone(sent: ImuConfig, expected: ImuConfig) -> None:
-    frames = DRIVES + stretch(sent)[1:]
+def test_each_format_passes_only_its_own_check(sent: ImuConfig, expected: ImuConfig) -> None:
+    frames = DRIVES + stream(sent)[1:]
     if sent == expected:
         check_format(expected, frames)
         return
@@ -432,22 +432,22 @@ def test_each_format_passes_as_itself_alone(sent: ImuConfig, expected: ImuConfig
         assert (remedy in caught.value.remedy) is changed
 
 
-def test_message_says_what_was_found() -> None:
+def test_error_states_the_expected_and_the_found_format() -> None:
     with pytest.raises(ImuFormatError) as caught:
-        check_format(CANOPEN, stretch(SEQUENTIAL))
+        check_format(CANOPEN, stream(SEQUENTIAL))
     assert caught.value.expected == "canopen ids 18Ah, 28Ah, 38Ah in float32 at 250 Hz"
     assert caught.value.found == "sequential ids 514h, 515h in int16 at 250 Hz"
 
 
-def test_slots_in_another_order_are_seen_by_gravity() -> None:
+def test_swapped_slots_are_detected_by_gravity() -> None:
     swapped = replace(CANOPEN, slots=(*ANGULAR_RATE, *ACCELERATION))
-    check_format(swapped, stretch(swapped))
+    check_format(swapped, stream(swapped))
     with pytest.raises(ImuFormatError, match=r"imu\.slots"):
-        check_format(swapped, stretch(CANOPEN))
+        check_format(swapped, stream(CANOPEN))
 
 
 @pytest.mark.parametrize(("frames", "found"), [([], "silence"), (DRIVES, "no IMU among ids 181h, 182h, 183h")])
-def test_missing_imu_is_named(frames: list[CanFrame], found: str) -> None:
+def test_missing_imu_error_states_what_was_received(frames: list[CanFrame], found: str) -> None:
     with pytest.raises(ImuFormatError) as caught:
         check_format(CANOPEN, frames)
     assert caught.value.found == found

@@ -88,7 +88,7 @@ def _slopes(model: Model) -> Callable[[Values], dict[str, float]]:
 
 
 def _accelerations(slopes: dict[str, float]) -> Array:
-    """Accelerations of the wheels relative to the floor, and of the body. The model's wheel rates are relative to it."""
+    """Accelerations of the wheels relative to the floor and of the body; in the model the wheels are relative to it."""
     tilt = slopes["tilt_rate"]
     return np.array([slopes["left_wheel_rate"] + tilt, slopes["right_wheel_rate"] + tilt, tilt])
 
