@@ -1,4 +1,4 @@
-"""The bus on real SocketCAN: kernel timestamps, interfaces that go and come back, a transmit queue that fills."""
+"""The bus on real SocketCAN: kernel timestamps, interfaces that go down and come back, a full transmit queue."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from telemetry.samples import CanFrame
 pytestmark = pytest.mark.vcan
 
 CHANNEL = "vcan7"
-"""A device of these tests' own: others keep theirs."""
+"""An interface for these tests only, so that other tests keep theirs."""
 
 CAN_ERR_FLAG, CAN_EFF_FLAG, CAN_RTR_FLAG = 0x2000_0000, 0x8000_0000, 0x4000_0000
 
@@ -31,7 +31,7 @@ async def run(*command: str) -> None:
 
 async def make_interface(name: str) -> None:
     await run("ip", "link", "add", "dev", name, "type", "vcan")
-    # On a vcan frames wait nowhere, unless it has a queue when it comes up.
+    # A vcan has no transmit queue, unless one is set before it comes up.
     await run("ip", "link", "set", name, "txqueuelen", "10", "up")
 
 
@@ -70,7 +70,7 @@ def peer(interface: str) -> Iterator[Peer]:
 
 
 class Connection:
-    """An open bus and what it delivered, with the time of its end."""
+    """An open bus, the frames that it delivered, and the time at which it went down."""
 
     def __init__(self, channel: str = CHANNEL, can_ids: list[int] | None = None) -> None:
         self.bus = Bus.open(f"socketcan:{channel}", index=1, can_ids=can_ids)
@@ -114,7 +114,7 @@ async def test_frames_carry_the_kernels_receive_time(connection: Connection, pee
     assert connection.bus.statistics.received == 3
 
 
-async def test_flag_bits_are_taken_off_the_id(connection: Connection, peer: Peer) -> None:
+async def test_flag_bits_are_removed_from_the_id(connection: Connection, peer: Peer) -> None:
     peer.send(CAN_EFF_FLAG | 0x1234_5678, b"\1")
     peer.send(CAN_RTR_FLAG | 0x123)
     peer.send(CAN_EFF_FLAG | 0x123, b"\2")
@@ -134,7 +134,7 @@ async def test_sent_frames_reach_other_programs_and_not_the_sender(connection: C
     assert connection.frames == []
 
 
-async def test_the_kernel_delivers_only_the_ids_asked_for(interface: str, peer: Peer) -> None:
+async def test_kernel_delivers_only_the_requested_ids(interface: str, peer: Peer) -> None:
     connection = Connection(interface, can_ids=[0x181, 0x182])
     for can_id in (0x181, 0x183, CAN_EFF_FLAG | 0x181, CAN_RTR_FLAG | 0x181, 0x182):
         peer.send(can_id)
@@ -144,7 +144,7 @@ async def test_the_kernel_delivers_only_the_ids_asked_for(interface: str, peer: 
     connection.bus.close()
 
 
-async def test_a_flood_is_read_in_bounded_lists_and_what_the_kernel_drops_is_counted(
+async def test_flood_is_read_in_bounded_lists_and_frames_dropped_by_the_kernel_are_counted(
     connection: Connection, peer: Peer
 ) -> None:
     count = 4000  # more than any receive buffer that an unprivileged process gets
@@ -154,7 +154,7 @@ async def test_a_flood_is_read_in_bounded_lists_and_what_the_kernel_drops_is_cou
     while read < len(connection.frames):
         read = len(connection.frames)
         await asyncio.sleep(0.02)
-    peer.send(0x101)  # the count of dropped frames comes with the next frame that was not
+    peer.send(0x101)  # the count of dropped frames arrives with the next received frame
     await until(lambda: connection.frames[-1].can_id == 0x101, "the frame after the flood")
     statistics = connection.bus.statistics
     numbers = [int.from_bytes(frame.data, "little") for frame in connection.frames[:-1]]
@@ -164,12 +164,12 @@ async def test_a_flood_is_read_in_bounded_lists_and_what_the_kernel_drops_is_cou
     assert statistics.largest_drain <= 128
 
 
-async def test_an_interface_that_goes_down_is_told_within_100_ms_without_a_busy_loop(connection: Connection) -> None:
+async def test_interface_going_down_is_reported_within_100_ms_without_a_busy_loop(connection: Connection) -> None:
     await run("ip", "link", "set", CHANNEL, "down")
-    is_down = time.monotonic()
+    went_down_at = time.monotonic()
     await until(lambda: connection.down, "BusDown")
     assert connection.down is not None
-    assert connection.down_at - is_down < 0.1
+    assert connection.down_at - went_down_at < 0.1
     assert connection.down.bus == f"socketcan:{CHANNEL}"
     assert "set down" in connection.down.reason
 
@@ -181,7 +181,7 @@ async def test_an_interface_that_goes_down_is_told_within_100_ms_without_a_busy_
     assert connection.bus.statistics.transmit_dropped == 1
 
 
-async def test_a_bus_that_was_down_is_opened_again(interface: str, peer: Peer) -> None:
+async def test_bus_can_be_reopened_after_its_interface_was_down(interface: str, peer: Peer) -> None:
     connection = Connection()
     await run("ip", "link", "set", CHANNEL, "down")
     await until(lambda: connection.down, "BusDown")
@@ -193,7 +193,7 @@ async def test_a_bus_that_was_down_is_opened_again(interface: str, peer: Peer) -
     await run("ip", "link", "set", CHANNEL, "up")
     again = Connection()
     with contextlib.suppress(OSError):
-        peer.send(0x100)  # the peer's own socket still has to report that its interface was down
+        peer.send(0x100)  # the peer's own socket still reports that its interface was down
     peer.send(0x101, b"\1")
     await until(lambda: again.frames, "a frame")
     assert again.frames[-1].data == b"\1"
@@ -201,12 +201,12 @@ async def test_a_bus_that_was_down_is_opened_again(interface: str, peer: Peer) -
     again.bus.close()
 
 
-async def test_an_interface_that_is_removed_and_comes_back(interface: str) -> None:
+async def test_bus_can_be_reopened_after_its_interface_was_removed(interface: str) -> None:
     connection = Connection()
     await run("ip", "link", "delete", "dev", CHANNEL)
-    is_gone = time.monotonic()
+    removed_at = time.monotonic()
     await until(lambda: connection.down, "BusDown")
-    assert connection.down_at - is_gone < 0.1
+    assert connection.down_at - removed_at < 0.1
     connection.bus.close()
     with pytest.raises(BusError, match="no interface") as caught:
         Connection()
@@ -222,7 +222,7 @@ async def test_an_interface_that_is_removed_and_comes_back(interface: str) -> No
     peer.close()
 
 
-async def test_one_of_two_buses_goes_down_and_the_other_goes_on(interface: str) -> None:
+async def test_group_continues_when_one_of_two_buses_goes_down(interface: str) -> None:
     frames: list[CanFrame] = []
     downs: list[BusDown] = []
     group = BusGroup([Bus.open("socketcan:vcan0"), Bus.open(f"socketcan:{CHANNEL}", index=1)])
@@ -237,7 +237,7 @@ async def test_one_of_two_buses_goes_down_and_the_other_goes_on(interface: str) 
     peer.close()
 
 
-async def test_two_buses_come_as_one_list_in_the_order_of_reception(interface: str, peer: Peer) -> None:
+async def test_two_buses_are_delivered_as_one_list_in_the_order_of_reception(interface: str, peer: Peer) -> None:
     lists: list[list[CanFrame]] = []
     group = BusGroup([Bus.open("socketcan:vcan0"), Bus.open(f"socketcan:{CHANNEL}", index=1)])
     group.start(lists.append, lambda down: None)
@@ -252,7 +252,7 @@ async def test_two_buses_come_as_one_list_in_the_order_of_reception(interface: s
     other.close()
 
 
-async def test_bus_off_ends_the_bus_and_lesser_errors_do_not(connection: Connection, peer: Peer) -> None:
+async def test_bus_off_takes_the_bus_down_and_lesser_errors_do_not(connection: Connection, peer: Peer) -> None:
     peer.send(CAN_ERR_FLAG | ErrorClass.CONTROLLER, bytes([0, 0x20, 0, 0, 0, 0, 130, 0]))
     peer.send(CAN_ERR_FLAG | ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR, bytes([0, 0, 0x84, 0x08, 0, 0, 0, 0]))
     await until(lambda: len(connection.frames) == 2, "the error frames")
@@ -270,15 +270,15 @@ async def test_bus_off_ends_the_bus_and_lesser_errors_do_not(connection: Connect
     assert [frame.error for frame in connection.frames] == [True] * 3
 
 
-async def slow_down(frames_a_second: int) -> None:
-    """Let the interface take so many frames a second, with a transmit queue of five: a frame counts 16 bytes."""
+async def slow_down(frames_per_second: int) -> None:
+    """Limit the interface to this many frames per second, with a transmit queue of five; a frame counts as 16 bytes."""
     await run(
         "tc", "qdisc", "replace", "dev", CHANNEL, "root",
-        "tbf", "rate", f"{16 * 8 * frames_a_second}bit", "burst", "16", "limit", "80",
+        "tbf", "rate", f"{16 * 8 * frames_per_second}bit", "burst", "16", "limit", "80",
     )  # fmt: skip
 
 
-async def test_a_transmit_queue_that_fills_for_a_while_loses_nothing(connection: Connection, peer: Peer) -> None:
+async def test_temporarily_full_transmit_queue_loses_no_frames(connection: Connection, peer: Peer) -> None:
     await slow_down(1000)
     for number in range(20):
         connection.bus.send(0x200 + number, bytes([number]))
@@ -290,7 +290,7 @@ async def test_a_transmit_queue_that_fills_for_a_while_loses_nothing(connection:
     assert connection.down is None
 
 
-async def test_a_transmit_queue_that_stays_full_ends_the_bus(connection: Connection) -> None:
+async def test_transmit_queue_that_stays_full_takes_the_bus_down(connection: Connection) -> None:
     await slow_down(2)
     begin = time.monotonic()
     for number in range(20):

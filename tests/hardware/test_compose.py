@@ -1,7 +1,7 @@
-"""docker-compose.yml without an engine: what it mounts is there, what it starts is a command of this program.
+"""docker-compose.yml without an engine: the files that it mounts exist, the commands that it starts are valid.
 
 The topology itself runs in test_dashboard.py, where `broker/topology` starts it from Debian's packages; here the two
-are held together: the same broker configuration, and the same options of `upright`.
+are compared: they have the same broker configuration and the same options of `upright`.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ KEYS = {
     "build", "cap_drop", "command", "depends_on", "entrypoint", "image", "network_mode", "ports", "restart",
     "stop_grace_period", "user", "volumes",
 }  # fmt: skip
-"""Of a service, by the Compose specification: those that are used here."""
+"""Keys of a service that are used here, from the Compose specification."""
 
 
 def read(*names: str) -> dict[str, Any]:
-    """The services of these files laid over each other as compose does it, `${NAME:-DEFAULT}` being its default."""
+    """The services of these files, merged as compose does it, with the default of each `${NAME:-DEFAULT}`."""
     services: dict[str, Any] = {}
     for name in names:
         text = re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", (REPOSITORY / name).read_text())
@@ -49,7 +49,7 @@ def read(*names: str) -> dict[str, Any]:
 
 
 def command(service: dict[str, Any]) -> list[str]:
-    """Words of the last command that the container runs, as `upright` sees them."""
+    """The arguments of `upright` in the last command that the container runs."""
     given = service["command"]
     if isinstance(given, str):
         return shlex.split(given)
@@ -60,7 +60,7 @@ def command(service: dict[str, Any]) -> list[str]:
 
 
 def parse(words: list[str]) -> dict[str, Any]:
-    """What the program makes of a command line, without running it. Raises where it would refuse it."""
+    """The parameters that the program parses from a command line, without running it. Raises if it would refuse it."""
     group = typer.main.get_command(app)
     name, *rest = words
     found = group.get_command(None, name)  # type: ignore[attr-defined]
@@ -74,14 +74,14 @@ def test_compose_knows_every_key(files: tuple[str, ...]) -> None:
         assert set(service) <= KEYS
     docker = shutil.which("docker")
     if docker is None or subprocess.run([docker, "compose", "version"], capture_output=True).returncode:
-        return  # a client without compose, or none
+        return  # no client, or one without compose
     words = [word for name in files for word in ("-f", name)]
     done = subprocess.run([docker, "compose", *words, "config", "-q"], cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("files", [(PLAIN,), (PLAIN, CAN)], ids=["virtual", "can"])
-def test_what_is_mounted_and_waited_for_is_there(files: tuple[str, ...]) -> None:
+def test_mounts_and_dependencies_exist(files: tuple[str, ...]) -> None:
     services = read(*files)
     named = yaml.safe_load((REPOSITORY / PLAIN).read_text())["volumes"]
     for name, service in services.items():
@@ -90,26 +90,26 @@ def test_what_is_mounted_and_waited_for_is_there(files: tuple[str, ...]) -> None
         for volume in service["volumes"]:
             source = volume.split(":")[0]
             assert (REPOSITORY / source).exists() if source.startswith(".") else source in named, volume
-    # What one writes for another is on the same volume for both.
+    # Writer and readers of the passwords use the same volume.
     assert "secrets:/secrets" in services["passwords"]["volumes"]
     assert all("secrets:/secrets:ro" in services[name]["volumes"] for name in OURS)
 
 
 @pytest.mark.parametrize("files", [(PLAIN,), (PLAIN, CAN)], ids=["virtual", "can"])
-def test_its_commands_are_commands(files: tuple[str, ...]) -> None:
+def test_service_commands_parse_and_agree_on_folders_and_ports(files: tuple[str, ...]) -> None:
     services = read(*files)
     daemon, page = (parse(command(services[name])) for name in OURS)
     assert daemon["virtual"] == (files == (PLAIN,))
     assert str(daemon["data"]) == str(page["data"]) == "/data"
     assert any(volume.startswith("recordings:/data") for volume in services["upright"]["volumes"])
-    # A browser is on the host: it reaches broker and page by the ports that are published, on this machine alone.
+    # A browser runs on the host: it reaches broker and page by the published ports, which only this machine sees.
     ports = {port.rpartition(":")[0] for name in ("broker", "dashboard") for port in services[name]["ports"]}
     assert ports == {"127.0.0.1:1883", "127.0.0.1:9001", "127.0.0.1:8765"}
     assert page["websocket"] == "ws://localhost:9001"
     assert (page["host"], page["port"]) == ("0.0.0.0", 8765)
 
 
-def test_what_the_image_needs_is_in_it() -> None:
+def test_image_has_the_required_python_and_the_files_that_the_services_use() -> None:
     lines = (REPOSITORY / "Dockerfile").read_text().splitlines()
     words = {line.split()[0]: line.split()[1:] for line in lines}
     version = re.fullmatch(r"python:(\d+\.\d+)-slim", words["FROM"][0])
@@ -127,7 +127,7 @@ def test_what_the_image_needs_is_in_it() -> None:
         assert Path(inside).parts[0] not in ignored, inside
 
 
-def test_the_vehicle_file_that_it_makes_is_one(tmp_path: Path) -> None:
+def test_generated_vehicle_file_loads_and_matches_the_broker(tmp_path: Path) -> None:
     text = " ".join(command_text for command_text in read(PLAIN)["upright"]["command"])
     maker, vehicle, broker, secret = shlex.split(text.split(">")[0])
     password = tmp_path / "upright"
@@ -143,8 +143,8 @@ def test_the_vehicle_file_that_it_makes_is_one(tmp_path: Path) -> None:
     assert Path(secret).name in (REPOSITORY / "broker" / "make-passwords").read_text()
 
 
-def test_its_broker_configuration_is_one_for_mosquitto(tmp_path: Path) -> None:
-    """As it is mounted, but for the folder, which is the container's own, and ports, which may be taken here."""
+def test_mosquitto_listens_with_the_broker_configuration(tmp_path: Path) -> None:
+    """With the mounted files, except for the container's folders and the ports, which may be in use here."""
     path = f"{os.environ['PATH']}:/usr/sbin:/usr/local/sbin"
     mosquitto = shutil.which("mosquitto", path=path)
     if mosquitto is None:
@@ -170,7 +170,7 @@ def test_its_broker_configuration_is_one_for_mosquitto(tmp_path: Path) -> None:
             process.terminate()
             try:
                 process.wait(10)
-            except subprocess.TimeoutExpired:  # as once in many runs, waiting for its WebSockets
+            except subprocess.TimeoutExpired:  # happens rarely, while it waits for its WebSockets
                 process.kill()
 
 
@@ -186,8 +186,8 @@ def _until_listening(ports: list[int], process: subprocess.Popen[bytes]) -> None
             time.sleep(0.05)
 
 
-def test_without_docker_the_same_is_started() -> None:
-    """`broker/topology`: the daemon's and the page's options are those of the compose file, values apart."""
+def test_topology_script_starts_the_services_with_the_same_options() -> None:
+    """`broker/topology`: the daemon and the page have the options of the compose file; their values may differ."""
     script = (REPOSITORY / "broker" / "topology").read_text().replace("\\\n", " ")
     for name in OURS:
         verb, *words = command(read(PLAIN)[name])

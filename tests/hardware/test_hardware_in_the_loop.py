@@ -1,4 +1,4 @@
-"""The real thing but for the iron: daemon and virtual vehicle as two processes on real SocketCAN, in real time.
+"""The complete system without the hardware: daemon and virtual vehicle as two processes on SocketCAN, in real time.
 
 Enable, balance, each excitation, stop; the master killed; the bus going down and coming back; two buses.
 """
@@ -29,12 +29,12 @@ pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 
 VEHICLE = load("monocab")
 DURATIONS = {"hold": 8.0, "sweep": 30.0, "output_sweep": 20.0, "square": 10.0, "sine_stream": 20.0}
-"""s, of the experiments that are longer than real time needs to show that they run."""
+"""s, shorter durations for the experiments that are longer than is needed to show that they run in real time."""
 
 
 @contextmanager
 def rig(folder: Path, *simulate: str, **options: Any) -> Iterator[Rig]:
-    """The shipped vehicle, its long experiments shorter."""
+    """The shipped vehicle with its long experiments shortened."""
     text = Path(VEHICLE.path).read_text()
     for name, duration in DURATIONS.items():
         before, section = text.split(f"[experiments.{name}]")
@@ -47,31 +47,31 @@ def rig(folder: Path, *simulate: str, **options: Any) -> Iterator[Rig]:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled() -> None:
-    """The live estimator's model is in the cache: on the guest's one processor, compiling it takes a minute."""
+    """Compiles the live estimator's model into the cache: on the guest's one processor that takes a minute."""
     values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
     online_estimators(VEHICLE.vehicle.kind, values, deviations, VEHICLE.support).join()
 
 
 @pytest.fixture(scope="class")
-def day_at_the_track(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+def class_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     with rig(tmp_path_factory.mktemp("hil")) as made:
         yield made
 
 
 @pytest.fixture
-def shared_rig(day_at_the_track: Rig) -> Rig:
-    """Ready, whatever the test before came to."""
-    if day_at_the_track.status()["mode"] == "fault":
-        day_at_the_track.ask("reset")
-    day_at_the_track.until_ready()
-    return day_at_the_track
+def shared_rig(class_rig: Rig) -> Rig:
+    """A rig that is ready, whatever the result of the previous test."""
+    if class_rig.status()["mode"] == "fault":
+        class_rig.ask("reset")
+    class_rig.until_ready()
+    return class_rig
 
 
 class TestOnOneRig:
-    """One vehicle and one daemon for all of these, as on a day at the track."""
+    """One vehicle and one daemon for all of these tests."""
 
     @pytest.mark.parametrize("name", list(VEHICLE.experiments))
-    def test_each_experiment_ends_well_and_is_recorded(self, shared_rig: Rig, name: str) -> None:
+    def test_each_experiment_succeeds_and_is_recorded(self, shared_rig: Rig, name: str) -> None:
         code, answer = shared_rig.ask("experiment", name=name)
         assert code == 0, answer
         recording = load_recording(Path(answer["recording"]))
@@ -83,7 +83,7 @@ class TestOnOneRig:
                 assert found[parameter]["value"] == pytest.approx(true, rel=0.01)
                 assert abs(found[parameter]["value"] - true) < 1.96 * found[parameter]["std"]
 
-    def test_the_raw_log_gives_the_same_estimates_bit_for_bit(self, shared_rig: Rig) -> None:
+    def test_raw_log_gives_the_same_estimates_bit_for_bit(self, shared_rig: Rig) -> None:
         code, answer = shared_rig.ask("experiment", name="step")
         assert code == 0, answer
         for parameter, true in (("inertia", 1650.0), ("gravity_stiffness", 14500.0)):
@@ -111,7 +111,7 @@ class TestOnOneRig:
             assert running.result(30)[0] == 0
         shared_rig.until_ready()
 
-    def test_the_command_line_tells_the_same(self, shared_rig: Rig) -> None:
+    def test_command_line_refuses_an_unknown_experiment_and_reports_the_status(self, shared_rig: Rig) -> None:
         to_rig = ["--socket", str(shared_rig.socket), "--json"]
         done = subprocess.run([*UPRIGHT, "experiment", "salto", *to_rig], capture_output=True, check=False)
         assert done.returncode == 2
@@ -120,7 +120,7 @@ class TestOnOneRig:
         assert json.loads(done.stdout)["vehicle"] == "monocab"
 
 
-def test_the_drives_stop_by_themselves_when_the_master_is_killed(tmp_path: Path) -> None:
+def test_drives_report_lost_heartbeat_or_setpoints_when_the_master_is_killed(tmp_path: Path) -> None:
     with rig(tmp_path) as made:
         with made.experiment("hold") as running:
             made.until_phase("excite")
@@ -151,7 +151,7 @@ def test_a_fault_stops_the_vehicle_and_reset_makes_it_ready_again(tmp_path: Path
         made.until_ready()
 
 
-def test_a_silent_imu_is_noticed(tmp_path: Path) -> None:
+def test_silent_imu_stops_the_experiment(tmp_path: Path) -> None:
     with rig(tmp_path, "--fault", "imu_silent@25") as made:
         code, answer = made.ask("experiment", name="sweep")
         assert code == 4, answer
@@ -159,7 +159,7 @@ def test_a_silent_imu_is_noticed(tmp_path: Path) -> None:
         assert "No IMU frames" in " ".join(made.status()["interlocks"]) or made.status()["mode"] == "fault"
 
 
-def test_the_bus_going_down_is_a_fault_and_it_comes_back(tmp_path: Path) -> None:
+def test_bus_going_down_is_a_fault_from_which_reset_recovers(tmp_path: Path) -> None:
     with rig(tmp_path) as made:
         with made.experiment("hold") as running:
             made.until_phase("excite")
@@ -174,7 +174,7 @@ def test_the_bus_going_down_is_a_fault_and_it_comes_back(tmp_path: Path) -> None
         made.until_ready()
 
 
-def test_drives_and_imu_on_two_buses(tmp_path: Path) -> None:
+def test_experiment_and_replay_work_with_drives_and_imu_on_two_buses(tmp_path: Path) -> None:
     two = ("--bus", "drives=socketcan:vcan0", "--bus", "imu=socketcan:vcan1")
     with rig(tmp_path, bus=two) as made:
         code, answer = made.ask("experiment", name="step")
@@ -186,13 +186,13 @@ def test_drives_and_imu_on_two_buses(tmp_path: Path) -> None:
         assert results[answer["recording"]] == results[answer["raw_log"]]
 
 
-def test_an_imu_with_another_format_is_told_with_the_key_to_change(tmp_path: Path) -> None:
+def test_imu_with_another_format_is_reported_with_the_key_to_change(tmp_path: Path) -> None:
     with rig(tmp_path, "--fault", "imu_wrong_format@0", ready=False) as made:
         made.until_said("imu.precision")
         assert made.ask("experiment", name="hold")[0] == 3
 
 
-def test_a_missing_drive_is_told_with_its_node(tmp_path: Path) -> None:
+def test_missing_drive_is_reported_with_its_node(tmp_path: Path) -> None:
     with rig(tmp_path, "--fault", "drive_silent:trim@0", ready=False) as made:
         made.until_said("node 3")
         assert made.ask("experiment", name="hold")[0] == 3

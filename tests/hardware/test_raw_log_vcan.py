@@ -1,4 +1,4 @@
-"""The raw log process on real SocketCAN: kernel times, both buses in order, and that it outlives its master."""
+"""The raw log process on real SocketCAN: kernel timestamps, both buses in order, and the end of its master."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from telemetry.samples import CanFrame
 pytestmark = pytest.mark.vcan
 
 
-class Heard(list[tuple[str, str, str]]):
+class EventList(list[tuple[str, str, str]]):
     """Events: severity, code, text."""
 
     def __call__(self, severity: str, code: str, text: str) -> None:
@@ -32,7 +32,7 @@ class Heard(list[tuple[str, str, str]]):
 
 
 class Sender:
-    """Puts frames on vcan0 and vcan1 and knows the kernel's time of each, from a listener of its own."""
+    """Sends frames on vcan0 and vcan1 and gets the kernel's timestamp of each from a listener of its own."""
 
     def __init__(self) -> None:
         self._sockets = [self._open(channel) for channel in ("vcan0", "vcan1")]
@@ -52,7 +52,7 @@ class Sender:
         flags = {"extended": bool(can_id & 0x80000000), "remote": bool(can_id & 0x40000000)}
         return CanFrame(seconds * 1_000_000_000 + nanoseconds, can_id & 0x1FFFFFFF, data, bus, **flags)
 
-    def send_unheard(self, bus: int, can_id: int, data: bytes) -> None:
+    def send_untimed(self, bus: int, can_id: int, data: bytes) -> None:
         self._sockets[bus].send(struct.pack("=IB3x8s", can_id, len(data), data))
 
     def close(self) -> None:
@@ -61,16 +61,16 @@ class Sender:
 
 
 @pytest.fixture
-def events() -> Heard:
-    return Heard()
+def events() -> EventList:
+    return EventList()
 
 
 Start = Callable[..., RawLogProcess]
 
 
 @pytest.fixture
-async def start(events: Heard) -> AsyncIterator[Start]:
-    """Starts a raw log process over the channels that are named; ended after the test."""
+async def start(events: EventList) -> AsyncIterator[Start]:
+    """A function that starts a raw log process on the given channels; the process is stopped after the test."""
     started: list[RawLogProcess] = []
 
     def start(*channels: str) -> RawLogProcess:
@@ -93,12 +93,12 @@ def link(channel: str, state: str) -> None:
     subprocess.run(["ip", "link", "set", channel, state], check=True)
 
 
-async def test_every_frame_of_both_buses_from_start_to_end(
-    sender: Sender, start: Start, events: Heard, tmp_path: Path
+async def test_every_frame_of_both_buses_is_logged_from_start_to_end(
+    sender: Sender, start: Start, events: EventList, tmp_path: Path
 ) -> None:
     process = start("vcan0", "vcan1")
     process.open(tmp_path / "first.log", 0)
-    await until((tmp_path / "first.log").exists)  # However long a slow machine takes to start it, it listens now.
+    await until((tmp_path / "first.log").exists)  # It listens now, however long a slow machine takes to start it.
     path = tmp_path / "folder" / "run.log"
     start_ns = time.time_ns() + 300_000_000
     process.open(path, start_ns)
@@ -115,16 +115,18 @@ async def test_every_frame_of_both_buses_from_start_to_end(
     await process.stop()
     reader = CandumpReader(path)
     logged = list(reader)
-    # A reader numbers the buses as they appear, and the first frame after the start may be the second bus'.
-    told = [replace(frame, bus=reader.buses[f"vcan{frame.bus}"]) for frame in sent if frame.timestamp_ns >= start_ns]
-    assert logged == told
+    # A reader numbers the buses as they appear, and the first frame after the start may be from the second bus.
+    expected = [
+        replace(frame, bus=reader.buses[f"vcan{frame.bus}"]) for frame in sent if frame.timestamp_ns >= start_ns
+    ]
+    assert logged == expected
     assert len(logged) > 500
     assert reader.truncated == ""
     assert not events
 
 
-async def test_two_recordings_one_after_the_other_and_none_overwritten(
-    sender: Sender, start: Start, events: Heard, tmp_path: Path
+async def test_consecutive_recordings_are_kept_and_none_is_overwritten(
+    sender: Sender, start: Start, events: EventList, tmp_path: Path
 ) -> None:
     process = start("vcan0")
     for name in ("a", "b"):
@@ -143,7 +145,7 @@ async def test_two_recordings_one_after_the_other_and_none_overwritten(
     ]
 
 
-async def test_an_interface_that_is_not_there(start: Start, events: Heard, tmp_path: Path) -> None:
+async def test_missing_interface_is_reported_as_an_error(start: Start, events: EventList, tmp_path: Path) -> None:
     process = start("vcan9")
     process.open(tmp_path / "run.log", 0)
     await until(lambda: events)
@@ -151,8 +153,8 @@ async def test_an_interface_that_is_not_there(start: Start, events: Heard, tmp_p
     assert "No such device" in events[0][2]
 
 
-async def test_an_interface_that_goes_down_and_comes_back(
-    sender: Sender, start: Start, events: Heard, tmp_path: Path
+async def test_logging_continues_after_the_interface_went_down_and_came_back(
+    sender: Sender, start: Start, events: EventList, tmp_path: Path
 ) -> None:
     process = start("vcan1")
     process.open(tmp_path / "run.log", 0)
@@ -175,8 +177,8 @@ async def test_an_interface_that_goes_down_and_comes_back(
     assert len(events) == 1
 
 
-async def test_frames_that_found_its_buffer_full_are_counted(
-    sender: Sender, start: Start, events: Heard, tmp_path: Path
+async def test_frames_lost_to_a_full_buffer_are_counted(
+    sender: Sender, start: Start, events: EventList, tmp_path: Path
 ) -> None:
     process = start("vcan0")
     path = tmp_path / "run.log"
@@ -184,9 +186,9 @@ async def test_frames_that_found_its_buffer_full_are_counted(
     await until(path.exists)
     await asyncio.sleep(0.2)
     os.kill(process.pid, signal.SIGSTOP)
-    total = 20_000  # twice what even a privileged process' buffer holds
+    total = 20_000  # twice the capacity of the buffer even of a privileged process
     for i in range(total):
-        sender.send_unheard(0, 0x123, i.to_bytes(2, "big"))
+        sender.send_untimed(0, 0x123, i.to_bytes(2, "big"))
     os.kill(process.pid, signal.SIGCONT)
     await until(lambda: path.stat().st_size)
     sender.send(0, 0x123, b"the last")
@@ -198,8 +200,8 @@ async def test_frames_that_found_its_buffer_full_are_counted(
     assert 100 < len(logged) < total
 
 
-async def test_killed_it_leaves_whole_lines_and_is_missed(
-    sender: Sender, start: Start, events: Heard, tmp_path: Path
+async def test_killed_process_leaves_complete_lines_and_its_end_is_reported(
+    sender: Sender, start: Start, events: EventList, tmp_path: Path
 ) -> None:
     process = start("vcan0")
     path = tmp_path / "run.log"
@@ -226,7 +228,7 @@ time.sleep(60)
 """
 
 
-def test_it_outlives_its_master_by_two_seconds_and_is_deaf_to_signals(sender: Sender, tmp_path: Path) -> None:
+def test_process_outlives_its_master_by_a_second_ignores_signals_and_ends(sender: Sender, tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     master = subprocess.Popen([sys.executable, "-c", MASTER.format(path=path)], stdout=subprocess.PIPE, text=True)
     assert master.stdout is not None

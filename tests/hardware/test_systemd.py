@@ -1,6 +1,6 @@
 """The unit file under a real systemd: readiness, watchdog, restart, stop, with the daemon on real SocketCAN.
 
-Runs in the throw-away guest, where the unit is installed as the manual says. A drop-in sets what differs there: the
+Runs in the throw-away guest, where the unit is installed as the manual says. A drop-in sets the differences: the
 checkout instead of /opt/upright, vcan0 instead of can0, and no private /home and /tmp, since the checkout and its
 Python may lie in either. All other hardening, and the user upright, are as shipped.
 """
@@ -29,8 +29,8 @@ UPRIGHT = Path(sys.executable).parent / "upright"
 SOCKET = Path("/run/upright/monocab.sock")
 VEHICLE = Path("/etc/upright/vehicle.toml")
 SLOWER = {"rate": 100, "heartbeat_period": 0.1, "heartbeat_timeout": 0.5, "missed_cycles": 20}
-"""Keys of the vehicle file that differ in the guest, one CPU for everything, where a Python that starts takes seconds:
-what is tested here is the unit, not the timing."""
+"""Keys of the vehicle file that differ in the guest, which has one CPU for everything, where starting Python takes
+seconds. These tests are about the unit, not the timing."""
 
 DROP_IN = f"""
 [Service]
@@ -59,7 +59,7 @@ def _show(name: str) -> str:
 
 
 def _status() -> dict[str, Any] | None:
-    """What the daemon says of itself; None while it cannot be reached."""
+    """The status that the daemon reports; None while it cannot be reached."""
     try:
         return list(api.call([SOCKET], {"verb": "status"}))[-1]["status"]  # type: ignore[no-any-return]
     except api.ApiError:
@@ -104,7 +104,7 @@ def installed() -> None:
 
 @pytest.fixture
 def silent_service() -> Iterator[None]:
-    """The service, started, on a bus where nothing else is."""
+    """The started service, on a bus with no other node."""
     _run("systemctl", "reset-failed")
     _run("systemctl", "start", "upright")
     yield
@@ -120,7 +120,7 @@ def service(silent_service: None) -> Iterator[dict[str, Any]]:
 
 
 def _start_experiment() -> list[str]:
-    """An experiment that has the drives enabled; how it ended is added to the list when it has."""
+    """Start an experiment and wait until the drives are enabled. Its final text is added to the list when it ends."""
     ends: list[str] = []
     _wait(
         "nothing keeps an experiment from starting",
@@ -144,11 +144,11 @@ def _drive_states(status: dict[str, Any] | None) -> set[str]:
     return {drive["state"] for drive in (status or {}).get("drives", [])}
 
 
-def test_the_unit_file_is_sound() -> None:
+def test_unit_file_passes_systemd_analyze() -> None:
     assert _run("systemd-analyze", "verify", "upright.service") == ""
 
 
-def test_ready_disarmed_and_not_root(service: dict[str, Any]) -> None:
+def test_service_is_ready_disarmed_and_not_root(service: dict[str, Any]) -> None:
     assert _show("ActiveState") == "active"
     assert "Operation enabled" not in _drive_states(service)
     user = Path(f"/proc/{_show('MainPID')}").stat().st_uid
@@ -157,7 +157,7 @@ def test_ready_disarmed_and_not_root(service: dict[str, Any]) -> None:
     assert answer["mode"] == "disarmed"
 
 
-def test_killed_with_the_drives_enabled_it_comes_back_disarmed(service: dict[str, Any]) -> None:
+def test_daemon_killed_with_the_drives_enabled_restarts_disarmed(service: dict[str, Any]) -> None:
     ends = _start_experiment()
     killed = _show("MainPID")
     _run("systemctl", "kill", "--signal=KILL", "--kill-whom=main", "upright")
@@ -168,21 +168,21 @@ def test_killed_with_the_drives_enabled_it_comes_back_disarmed(service: dict[str
     assert status["experiment"] is None
 
 
-def test_hung_it_is_restarted_by_the_watchdog(service: dict[str, Any]) -> None:
+def test_hung_daemon_is_restarted_by_the_watchdog(service: dict[str, Any]) -> None:
     _run("systemctl", "kill", "--signal=STOP", "--kill-whom=main", "upright")
     _wait("the watchdog restarts it", lambda: _show("NRestarts") == "1", 20.0)
     assert "Watchdog timeout" in _journal()
     _wait_for_mode(Mode.DISARMED)
 
 
-def test_a_vehicle_that_is_switched_off_is_no_reason_to_restart(silent_service: None) -> None:
+def test_daemon_is_not_restarted_while_the_vehicle_is_switched_off(silent_service: None) -> None:
     watchdog_periods = 2.5
     time.sleep(watchdog_periods * 2.0)
     assert (_show("NRestarts"), _show("ActiveState")) == ("0", "active")
     assert (_status() or {})["mode"] != Mode.RUNNING
 
 
-def test_stopped_in_an_experiment_it_ends_in_order(service: dict[str, Any]) -> None:
+def test_daemon_stopped_during_an_experiment_exits_cleanly_and_keeps_the_recording(service: dict[str, Any]) -> None:
     _start_experiment()
     _run("systemctl", "stop", "upright")
     assert (_show("Result"), _show("ExecMainStatus"), _show("ActiveState")) == ("success", "0", "inactive")

@@ -19,18 +19,18 @@ pytestmark = [pytest.mark.vcan, pytest.mark.timeout(120)]
 UP = (Phase.SETTLE, Phase.EXCITE, Phase.FADE)
 
 
-def calmer(text: str) -> str:
-    """The shipped file with a short and small doublet: this machine is held up for longer than a robot bears at 8 V."""
+def with_small_doublet(text: str) -> str:
+    """The shipped file with a short and small doublet: this machine has delays too long for the robot at 8 V."""
     long_and_strong = "amplitude = 8.0                     # V\nwidth = 0.4                         # s, of each half\n"
     long_and_strong += "duration = 16.0"
     assert long_and_strong in text
     return text.replace(long_and_strong, "amplitude = 2.0\nwidth = 0.4\nduration = 2.0")
 
 
-def test_it_is_balanced_excited_and_recorded_and_a_silent_imu_stops_it(tmp_path: Path) -> None:
-    """A doublet of 2 s; then the vehicle's nodes go silent while it stands in another experiment."""
+def test_robot_balances_through_a_recorded_doublet_and_stops_if_the_imu_is_silent(tmp_path: Path) -> None:
+    """A doublet of 2 s; then the nodes of the vehicle go silent while it balances in another experiment."""
     shipped = Path(load("twsbr").path).read_text()
-    with rig(tmp_path, calmer(shipped)) as made:
+    with rig(tmp_path, with_small_doublet(shipped)) as made:
         code, answer = made.ask("experiment", name="doublet")
         assert code == 0, answer
         recording = load_recording(Path(answer["recording"]))
