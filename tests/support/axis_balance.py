@@ -2,9 +2,9 @@
 
     force = mass * position'' + viscous_friction * position' + coulomb_friction * sign(position') + force_offset
 
-The same filter and the same least squares as the MONOCAB's torque balance, with other regressors. Two filters in a row:
-the first, wide one gives velocity and acceleration; the sign of its velocity is a signal of its own from then on, and
-the second, narrow one takes all of them to the band in which the axis moves. SI units (m, N), or rad and N m.
+The same filter and the same least squares as the MONOCAB's torque balance, with other regressors. Two filters are in
+series: the first, wide one gives velocity and acceleration; the sign of its velocity is then a signal of its own. The
+second, narrow one limits all of them to the band in which the axis moves. SI units (m, N), or rad and N m.
 
 Source: Gautier, Janot and Vandanjon, A new closed-loop output error method for parameter identification of robot
 dynamics, IEEE Trans. Control Syst. Technol. 21 (2013): inverse dynamic model, filtered in parallel.
@@ -27,8 +27,8 @@ class AxisBalance:
     """Estimator of a servo axis from its `position` and `force` channels.
 
     `motion_bandwidth` rad/s is that of the differentiating filter: well above the motion, below the encoder's noise.
-    `bandwidth` rad/s is that of the regression: the band in which the axis moves. `asked_force` N: each term is to move
-    by this much, RMS, independently of the others. `correlation_time` s: how long the residual stays alike.
+    `bandwidth` rad/s is that of the regression: the band in which the axis moves. `required_force` N: each term must
+    move by this much, RMS, independently of the others. `correlation_time` s: that of the residual.
     """
 
     method = "recursive_least_squares"
@@ -39,7 +39,7 @@ class AxisBalance:
         *,
         motion_bandwidth: float = 2.0 * np.pi * 100.0,
         bandwidth: float = 2.0 * np.pi * 10.0,
-        asked_force: float = 1.0,
+        required_force: float = 1.0,
         longest_gap: float = 0.02,
         correlation_time: float = 2.0,
     ) -> None:
@@ -48,19 +48,19 @@ class AxisBalance:
         self._balance = StateVariableFilter(4, bandwidth)
         self._stride = 0.2 * np.pi / bandwidth
         self._longest_gap = longest_gap
-        self._asked_force = asked_force
+        self._required_force = required_force
         self._regression = RecursiveLeastSquares(len(UNITS), lags=round(correlation_time / self._stride))
         self.reset()
 
     def reset(self) -> None:
-        """Forget all samples."""
+        """Discard all samples."""
         self._regression.reset()
         self._time: int | None = None
         self._next = 0.0
         self._span = 0.0
 
     def update(self, frame: Frame) -> None:
-        """Take one sample; the filters begin anew after a gap or an unknown value."""
+        """Take one sample; the filters restart after a gap or an unknown value."""
         position, force = (frame.values[place] for place in self._places)
         if not (np.isfinite(position) and np.isfinite(force)):
             self._time = None
@@ -98,8 +98,8 @@ class AxisBalance:
         parameters = {}
         for place, (name, unit) in enumerate(UNITS.items()):
             value = float(solution.values[place])
-            # The offset's term is known to move: it is asked to differ from the others by a tenth of itself.
-            moved = 10.0 if name == "force_offset" else abs(value) / self._asked_force
+            # The term of the offset is constant, one: it must differ from the others by a tenth of itself.
+            moved = 10.0 if name == "force_offset" else abs(value) / self._required_force
             coverage = 100.0 * min(1.0, float(solution.movement[place]) * moved)
             if coverage < 100.0:
                 reason = f"the term of {name} moves at {coverage:.0f} % of what is needed: move the axis more"

@@ -1,4 +1,4 @@
-"""A mass on a spring that is pushed by a held force under feedback: an axis of its own, to plant missing forces in.
+"""A mass on a spring under feedback, with a force held between samples: an axis into which tests put missing forces.
 
 mass x'' = force - stiffness x + missing(time, x, x'), integrated ten times finer than it is sampled. The position is
 measured with white noise.
@@ -46,7 +46,7 @@ def record(
     duration: float = 20.0,
     source: str = "axis",
 ) -> Recording:
-    """200 rows a second of random pushes, low-passed at some 2 Hz, with some damping by feedback."""
+    """200 samples per second with random pushes, low-passed at about 2 Hz, and some damping by feedback."""
     random = np.random.default_rng(seed)
     spacing, finer = 0.005, 10
     count = round(duration / spacing)
@@ -60,7 +60,7 @@ def record(
         table[:, row] = measured, force
         for part in range(finer):
             time = row * spacing + part * step
-            # Leapfrog: the error of a step is a ten thousandth of the noise.
+            # Leapfrog: the error of a step is 1e-4 of the noise.
             rate += 0.5 * step * (force - STIFFNESS * position + missing(time, position, rate)) / MASS
             position += step * rate
             rate += 0.5 * step * (force - STIFFNESS * position + missing(time + step, position, rate)) / MASS

@@ -1,6 +1,6 @@
 """The control loop and the virtual vehicle without a bus between them (service.virtual.run), and what tests do to it.
 
-Fast and deterministic, for tests of what the loop decides. The same two meet on real buses in the other tests.
+Fast and deterministic, for tests of the decisions of the loop. Other tests connect the two by real buses.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from vehicles.file import VehicleFile, load
 
 
 class ClosedLoop(virtual_run.ClosedLoop):
-    """One vehicle under control. `raw` holds every frame that was exchanged, `unclaimed` those that no driver knows."""
+    """One vehicle under control. `raw` holds every frame that was exchanged, `unclaimed` those that no driver takes."""
 
     def __init__(
         self, vehicle: VehicleFile | None = None, *, hide: Sequence[str] = (), faults: Sequence[str] = (), seed: int = 1
@@ -22,7 +22,7 @@ class ClosedLoop(virtual_run.ClosedLoop):
         self.raw: list[CanFrame] = []
         self.unclaimed: list[CanFrame] = []
         self.late = False
-        """While set, what the loop sends does not arrive."""
+        """While set, frames that the loop sends do not arrive."""
         super().__init__(
             vehicle if vehicle is not None else load("monocab"),
             hide=hide,

@@ -1,6 +1,6 @@
 """Stand-ins for the slow parts of the benchmark of hidden effects, importable by worker processes.
 
-A "recording" carries in its metadata what is hidden in it, so that a stand-in of the diagnosis can read the answer.
+A "recording" carries in its metadata what is hidden in it, so that a stand-in for the diagnosis can read the answer.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from telemetry.recording import Recording
 from vehicles.registry import channels_of
 
 FOLDER = "UPRIGHT_TEST_FOLDER"
-"""Where the stand-ins leave a file a call, so that a test can count calls in other processes."""
+"""Folder in which the stand-ins write one file per call, so that a test can count calls in other processes."""
 CATALOGUE_ONLY = frozenset(HIDDEN)
 SMALL = Grid(
     effects=("static_torque", "coulomb_friction", "test_cubic_drag"),
@@ -34,7 +34,7 @@ SMALL = Grid(
     excitations=("multisine",),
     seeds=1,
 )
-"""Five cases: nothing, one of each, and the two listed effects together."""
+"""Five cases: no effect, each effect alone, and the two listed effects together."""
 
 
 def labelled(
@@ -46,7 +46,7 @@ def labelled(
     vehicle: Vehicle,
     disturbance: Disturbance | None = None,
 ) -> Recording:
-    """No record at all, only what is in it."""
+    """A record without data, with the hidden effects in its metadata."""
     channels = channels_of("monocab")
     metadata = {
         "hidden": json.dumps(dict(hidden)),
@@ -69,9 +69,9 @@ def all_knowing(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """Names what is hidden; an effect that the catalogue does not have is unknown."""
+    """Names the hidden effects; unknown if one is not in the catalogue."""
     hidden = json.loads(recordings[0].metadata["hidden"])
-    _leave_a_trace(recordings[0])
+    _record_call(recordings[0])
     detectable = {name: abs(effect.size) for name, effect in {**HIDDEN, **UNLISTED}.items()}
     if set(hidden) - CATALOGUE_ONLY:
         return Answer(UNKNOWN, detectable=detectable)
@@ -85,7 +85,7 @@ def blind(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """Finds nothing, ever."""
+    """Never finds an effect."""
     return Answer(ADEQUATE)
 
 
@@ -95,7 +95,7 @@ def killed_once(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """All-knowing, but the first time that it sees dry friction its process is killed."""
+    """All-knowing, but its process is killed the first time that it gets dry friction."""
     hidden = json.loads(recordings[0].metadata["hidden"])
     mark = Path(os.environ[FOLDER]) / "killed"
     if list(hidden) == ["coulomb_friction"] and not mark.exists():
@@ -112,7 +112,7 @@ def always_killed(
 ) -> Answer:
     """All-knowing, but dry friction kills its process every time."""
     if list(json.loads(recordings[0].metadata["hidden"])) == ["coulomb_friction"]:
-        _leave_a_trace(recordings[0], "killed")
+        _record_call(recordings[0], "killed")
         os.kill(os.getpid(), signal.SIGKILL)
     return all_knowing(model, recordings, support, candidates)
 
@@ -123,7 +123,7 @@ def patient(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """All-knowing, but takes a minute over everything but a clean record."""
+    """All-knowing, but takes a minute for every record with a hidden effect."""
     answer = all_knowing(model, recordings, support, candidates)
     if answer.verdict != ADEQUATE:
         time.sleep(60.0)
@@ -131,16 +131,16 @@ def patient(
 
 
 def bench(method: object = all_knowing, **others: object) -> Bench:
-    """The benchmark with stand-ins alone."""
+    """The benchmark with stand-ins only."""
     return Bench(methods={SUBJECT: method, **others}, record=labelled)  # type: ignore[arg-type, dict-item]
 
 
 def traces(kind: str = "asked") -> list[str]:
-    """What has been asked, by all processes."""
+    """The hidden effects of all calls, in all processes."""
     return sorted(path.read_text() for path in Path(os.environ[FOLDER]).glob(f"{kind}-*"))
 
 
-def _leave_a_trace(recording: Recording, kind: str = "asked") -> None:
+def _record_call(recording: Recording, kind: str = "asked") -> None:
     if FOLDER in os.environ:
         path = Path(os.environ[FOLDER]) / f"{kind}-{os.getpid()}-{time.monotonic_ns()}"
         path.write_text(recording.metadata["hidden"])

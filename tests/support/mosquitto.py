@@ -1,4 +1,4 @@
-"""A real broker: mosquitto with passwords and an access list, started and stopped at will; for the tests of MQTT."""
+"""A real broker: mosquitto with passwords and an access list, started and stopped on demand; for the tests of MQTT."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 PUBLISHER, WATCHER, STRANGER, OPERATOR = "upright", "viewer", "stranger", "dashboard"
 PASSWORDS = {PUBLISHER: "balance", WATCHER: "look", STRANGER: "touch", OPERATOR: "steer", "homeassistant": "see"}
 ACL = Path(__file__).resolve().parents[2] / "broker" / "acl"
-"""The access list that is shipped."""
+"""The shipped access list."""
 
 
 def _command(name: str) -> str:
@@ -29,9 +29,9 @@ def _command(name: str) -> str:
 
 
 class Mosquitto:
-    """A broker on a free port of this machine, with the shipped access list. It keeps nothing when it ends.
+    """A broker on a free port of this machine, with the shipped access list. Nothing persists when it ends.
 
-    With `tls` it speaks that, with a certificate for "localhost" that `ca_file` signed.
+    With `tls` it uses TLS, with a certificate for "localhost" that `ca_file` signed.
     """
 
     def __init__(self, folder: Path, *, tls: bool = False) -> None:
@@ -50,7 +50,7 @@ class Mosquitto:
             f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {ACL}\n"
             "persistence false\nlog_dest stderr\n"
             + (_certificates(folder) if tls else "")
-            + "user root\n"  # Started by root it would become a user that cannot read this folder; else without effect.
+            + "user root\n"  # Started by root, it would become a user that cannot read this folder; else no effect.
         )
 
     @property
@@ -59,7 +59,7 @@ class Mosquitto:
 
     @property
     def login(self) -> dict[str, str]:
-        """The keys of [mqtt] that let the vehicle in."""
+        """The keys of [mqtt] with which the vehicle logs in."""
         return {"username": PUBLISHER, "password_file": str(self._folder / "password")}
 
     @property
@@ -86,7 +86,7 @@ class Mosquitto:
 
 
 def _certificates(folder: Path) -> str:
-    """Makes an authority and a certificate for localhost; the lines of the configuration."""
+    """Makes an authority and a certificate for localhost. Returns the lines of the configuration."""
 
     def openssl(*words: str | Path) -> None:
         subprocess.run([_command("openssl"), *words], check=True, capture_output=True, cwd=folder)
@@ -102,7 +102,7 @@ def _certificates(folder: Path) -> str:
 
 
 class Watcher:
-    """Somebody who looks at all topics. `messages` are (topic below the vehicle, payload, retained), in order."""
+    """A client that subscribes to all topics. `messages` are (topic below the vehicle, payload, retained), in order."""
 
     def __init__(self, port: int, user: str = WATCHER) -> None:
         self.messages: list[tuple[str, Any, bool]] = []
@@ -127,7 +127,7 @@ class Watcher:
             self.messages.append((topic, text if topic == "status" else json.loads(text), bool(message.retain)))
 
     async def publish(self, topic: str, payload: bytes | str, *, retain: bool = False) -> None:
-        """To a topic below the vehicle, as the broker lets this user."""
+        """Publish to a topic below the vehicle, if the broker permits it to this user."""
         await self._client.publish(f"upright/monocab/{topic}", payload, qos=1, retain=retain)
 
     def of(self, topic: str) -> list[Any]:

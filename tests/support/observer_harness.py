@@ -19,7 +19,7 @@ VEHICLE = load("monocab")
 
 
 def hello(data: Path, broker: str = "", **mqtt: Any) -> dict[str, Any]:
-    """What control says of the shipped vehicle, with in-process buses."""
+    """The hello message of the control process for the shipped vehicle, with in-process buses."""
     from service.control.assembly import observer_hello
 
     return {
@@ -44,11 +44,11 @@ async def until(what: Callable[[], object], seconds: float = 20.0) -> None:
 
 
 async def record(client: ObserverClient, frames: list[Frame], name: str = "sweep") -> dict[str, Any]:
-    """Record all of `frames`; the summary."""
+    """Record all of `frames` and return the summary."""
     client.start_recording(name, frames[0].timestamp_ns, {"kind": "monocab"})
     for frame in frames[:-1]:
         client.offer(frame)
     client.stop_recording("done", frames[-1].timestamp_ns)
-    # As the control loop does: the cycle in which the recording was stopped is offered after the order.
+    # As in the control loop, the cycle in which the recording was stopped is offered after the command.
     client.offer(frames[-1])
     return await client.finished_recording()

@@ -1,7 +1,7 @@
-"""A pendulum that a motor turns, on a bench: a machine of somebody's own, which no vehicle file knows.
+"""A pendulum turned by a motor, on a bench: a user's own machine, for which there is no vehicle file.
 
 inertia angle'' = motor_constant voltage - stiffness sin(angle) + missing(time, angle, rate), by the midpoint rule at
-4 kHz. A PD controller follows a multisine; the recording is a table of time, voltage and angle, as a stranger has it.
+4 kHz. A PD controller follows a multisine; the recording is a table of time, voltage and angle, as a user has it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SUPPLY = 24.0
 NOISE = 1e-4
 """rad, of the angle."""
 SPACING, FINER = 0.005, 20
-"""s between rows, and steps of the plant from one to the next."""
+"""s between samples, and steps of the plant from one to the next."""
 FREQUENCIES = np.array([0.2, 0.35, 0.6, 0.9, 1.3, 1.9, 2.6, 3.4])
 """Hz, of the reference."""
 
@@ -40,7 +40,7 @@ def write(
     late: float = 0.0,
     early: float = 0.0,
 ) -> Path:
-    """The table of a run at `path`. `dead_band` V of the motor; the angle is read `late` s later than it says.
+    """Write the table of a run to `path`. `dead_band` V of the motor. The recorded angle is `late` s old.
 
     The voltage of a row of the table acts `early` s before its angle is measured, at most until the next row.
     """

@@ -1,7 +1,7 @@
-"""The virtual vehicle with a controller function around it and no bus: fast runs for statistics over many seeds.
+"""The virtual vehicle in closed loop with a controller function, without a bus, for statistics over many seeds.
 
-Same mechanics, sensors and timing as on the bus: the setpoint that answers the sample of t_k acts from t_k + 1 ms, and
-the drive values the controller sees were taken one cycle earlier, at t_k-1 + 1 ms.
+Same mechanics, sensors and timing as on the bus: the setpoint computed from the sample of t_k acts from t_k + 1 ms, and
+the drive values that the controller gets were measured one cycle earlier, at t_k-1 + 1 ms.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a controller is given: the IMU's sample and the drives' values of `drive_timestamp_ns`; axis units."""
+    """Inputs of a controller: the IMU's sample and the drives' values of `drive_timestamp_ns`; axis units."""
 
     sample: ImuSample
     drive_timestamp_ns: int
@@ -39,7 +39,7 @@ Controller = Callable[[Measured], tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopRun:
-    """One row a control cycle, n rows: what was measured, what was commanded, and the truth."""
+    """One row per control cycle, n rows: measured values, commanded values, and true values."""
 
     timestamp_ns: NDArray[np.int64]
     """(n,) of the IMU samples."""
@@ -62,7 +62,7 @@ class ClosedLoopRun:
 def simulate_closed_loop(
     config: SimulationConfig, controller: Controller, duration: float, *, roll: float | None = None
 ) -> ClosedLoopRun:
-    """Run `duration` s with drives enabled, from rest on the support or from `roll` (rad). Events count from here."""
+    """Run `duration` s with drives enabled, from rest on the support or from `roll` (rad). Event times start here."""
     plant = Plant(config)
     plant.event_origin = 0.0
     if roll is not None:

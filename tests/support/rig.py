@@ -1,4 +1,4 @@
-"""Daemon and virtual vehicle as two processes on real SocketCAN, and what a test asks of them."""
+"""Daemon and virtual vehicle as two processes on real SocketCAN, and the requests of tests to them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 
 FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in ("20", "10"))
 """Real-time priorities, as systemd/upright.service.d/realtime.conf gives the daemon: the guest has one processor for
-everything. The vehicle comes first, since a real one waits for nobody."""
+everything. The vehicle has the higher priority, since a real one does not wait."""
 
 
 HEARTBEAT_TIMEOUT = 0.6
@@ -28,14 +28,14 @@ HEARTBEAT_TIMEOUT = 0.6
 def patient(text: str) -> str:
     """The shipped vehicle file for a machine that is itself not real-time.
 
-    A virtual machine shares its processor with others: a bare loop with 4 ms to sleep was seen held up for 76 ms on
-    such a host, and for 7 ms every few seconds in the guest; with other work on the host a set of IMU frames was seen
-    114 ms late. The shipped limit of 12 ms would stop a run then, rightly.
+    A virtual machine shares its processor with others. A bare loop that sleeps for 4 ms was delayed by 76 ms on such a
+    host, and by 7 ms every few seconds in the guest. With other work on the host, a set of IMU frames was 114 ms late.
+    The shipped limit of 12 ms would then stop a run, rightly.
     """
     for key, shipped, here in (("missed_cycles", "3 ", "50 "), ("heartbeat_timeout", "0.12", str(HEARTBEAT_TIMEOUT))):
         assert f"{key} = {shipped}" in text
         text = text.replace(f"{key} = {shipped}", f"{key} = {here}")
-    # The client's signs come from a process that waits for the same processor.
+    # The client's signs of life come from a process that waits for the same processor.
     return text.replace("heartbeat_timeout =", "lease = 2.0\nheartbeat_timeout =")
 
 
@@ -51,7 +51,7 @@ class Rig:
     def ask(self, verb: str, **arguments: Any) -> tuple[int, dict[str, Any]]:
         """Exit code and result of a request, as the command line makes it.
 
-        Without starting a process for it: that would hold up the guest, which has one processor, for many cycles.
+        No process is started for it: that would delay the guest, which has one processor, by many cycles.
         """
         answer = list(call([self.socket], {"verb": verb, **arguments}, timeout=200.0))[-1]
         return answer["exit_code"], answer
@@ -74,7 +74,7 @@ class Rig:
         raise AssertionError(f"not ready after {limit} s: {status}")
 
     def until_said(self, words: str, limit: float = 40.0) -> None:
-        """Wait until the status gives a reason with these words."""
+        """Wait until the interlocks of the status contain these words."""
         said = ""
         for _ in range(int(limit / 0.5)):
             said = " ".join(self.status()["interlocks"])
@@ -95,20 +95,20 @@ class Rig:
 
     @contextmanager
     def experiment(self, name: str) -> Iterator[Future[tuple[int, dict[str, Any]]]]:
-        """An experiment in the background; its exit code and result to come, ApiError where the daemon went away."""
+        """An experiment in the background: a future of its exit code and result, or ApiError if the daemon ended."""
         with ThreadPoolExecutor(1) as pool:
             yield pool.submit(self.ask, "experiment", name=name)
 
 
 STILL = ("--hide", "disturbance=0")
-"""What the tests say of a vehicle on a bus they say of one that nothing shakes."""
+"""The tests of a vehicle on a bus are for a vehicle without a disturbance."""
 
 
 @contextmanager
 def rig(
     folder: Path, text: str, *simulate: str, bus: tuple[str, ...] = ("--bus", "socketcan:vcan0"), ready: bool = True
 ) -> Iterator[Rig]:
-    """The vehicle file with this `text`, made `patient`, simulated and served."""
+    """Simulate and serve the vehicle file with this `text`, after `patient`."""
     log = (folder / "daemon.log").open("wb")
     file = folder / "patient.toml"
     file.write_text(patient(text))

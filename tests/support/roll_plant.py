@@ -1,7 +1,7 @@
-"""A plant of the tests' own for the roll controller, and the three things one does with it: up, balance, down.
+"""An independent plant for the tests of the roll controller, and its three procedures: get up, balance, get down.
 
-It is the vehicle of the source papers' size (apparent inertia 1795 kg m^2, gravity stiffness 14.5 kN m/rad), which is
-24 % and 15 % off the CAD values that the controller is designed from. It has sin(roll), stiff one-sided supports, a
+The vehicle has the size given in the source papers (apparent inertia 1795 kg m^2, gravity stiffness 14.5 kN m/rad),
+which is 24 % and 15 % off the CAD values of the controller design. The plant has sin(roll), stiff one-sided supports, a
 first-order speed loop, transport delay, drive values that are one cycle old, sensor noise and encoder steps.
 """
 
@@ -59,15 +59,15 @@ class Plant:
 
     def __post_init__(self) -> None:
         self.roll = self.side * self.support
-        self._under_way = [0.0] * self.delay
+        self._in_transit = [0.0] * self.delay
         self._old = (0.0, 0.0)
         for _ in range(round(1.0 / self.period)):
             self.step(0.0)
         self.time = 0.0
 
     def step(self, setpoint: float) -> None:
-        self._under_way.append(setpoint)
-        setpoint = self._under_way.pop(0)
+        self._in_transit.append(setpoint)
+        setpoint = self._in_transit.pop(0)
         self._old = (self.precession, self.precession_rate)
         substeps = round(self.period / SUBSTEP)
         h = self.period / substeps
@@ -87,7 +87,7 @@ class Plant:
             self.time += h
 
     def measure(self) -> tuple[float, float, float, float]:
-        """(roll, roll rate, precession rate, precession): with noise, encoder steps, a cycle's age."""
+        """(roll, roll rate, precession rate, precession), with noise, encoder steps and drive values one cycle old."""
         precession, precession_rate = self._old
         return (
             self.roll + self.random.gauss(0.0, 1.5e-4),
@@ -99,7 +99,7 @@ class Plant:
 
 @dataclass
 class Log:
-    """What the plant did, by phase; angles in deg."""
+    """Course of the plant, by phase; angles in deg."""
 
     roll: dict[str, list[float]] = field(default_factory=dict)
     precession: dict[str, list[float]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The daemon in the test's own process, with a virtual vehicle at the pace of the wall's clock."""
+"""The daemon in the test's own process, with a virtual vehicle in wall-clock time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vehicles.sections import VehicleFile
 
 
 def steady() -> VehicleFile:
-    """The shipped MONOCAB, which holds still for a minute where it is not told otherwise."""
+    """The shipped MONOCAB, with an experiment `hold` of a minute."""
     vehicle = load("monocab")
     hold = vehicle.experiments["hold"].model_copy(update={"duration": 60.0})
     return vehicle.model_copy(update={"experiments": {**vehicle.experiments, "hold": hold}})
@@ -26,7 +26,7 @@ def steady() -> VehicleFile:
 
 @asynccontextmanager
 async def serving(folder: Path, bus: str) -> AsyncIterator[Daemon]:
-    """The daemon, from when an experiment may start on; its socket is `s.sock` in the folder."""
+    """The daemon, once an experiment may start; its socket is `s.sock` in the folder."""
     vehicle = steady()
     with virtual_vehicle_beside(vehicle, [], 1, bus):
         daemon = Daemon(vehicle, Places(bus, bus, folder, folder / "s.sock"), lock_step=True)
@@ -40,7 +40,7 @@ async def serving(folder: Path, bus: str) -> AsyncIterator[Daemon]:
 
 
 async def until(what: Any, seconds: float = 40.0) -> float:
-    """The s it took until `what()` is true."""
+    """Wait until `what()` is true. Returns the time that it took, s."""
     began = time.monotonic()
     while not what():
         assert time.monotonic() - began < seconds, "not in time"
@@ -49,7 +49,7 @@ async def until(what: Any, seconds: float = 40.0) -> float:
 
 
 async def connect(folder: Path, name: str = "hold") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    """A client that asks for an experiment."""
+    """A client that has requested an experiment."""
     reader, writer = await asyncio.open_unix_connection(str(folder / "s.sock"))
     writer.write(json.dumps({"verb": "experiment", "name": name}).encode() + b"\n")
     return reader, writer

@@ -1,8 +1,7 @@
-"""A MONOCAB of the tests' own that is shaken: roll, gimbals with a lag, a controller, and a random torque.
+"""An independent MONOCAB with a random disturbance, for tests: roll, gimbals with a lag, a controller, a random torque.
 
-It knows nothing of the models: integrated by Euler's method at 1 ms, gravity with the sine of the roll, readings with
-white noise and of encoder steps, and a torque d' = -d / correlation_time + w that is drawn here. Records are what a
-user has: a table of channels.
+It uses nothing of the models: Euler's method at 1 ms, gravity with the sine of the roll, measurements with white noise,
+and a random torque d' = -d / correlation_time + w. Records have the form that a user has: a table of channels.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from vehicles.monocab.channels import CHANNELS as MONOCAB
 
 STEP = 1e-3
 ROWS = 5
-"""Steps of a row: 200 Hz."""
+"""Integration steps per sample: 200 Hz."""
 LINES = np.array([0.13, 0.31, 0.57, 0.9, 1.4, 2.1])
 """Hz, of the multisine."""
 
@@ -26,7 +25,7 @@ LINES = np.array([0.13, 0.31, 0.57, 0.9, 1.4, 2.1])
 @dataclass(frozen=True, slots=True)
 class Shaken:
     """`rms` N m and `correlation_time` s of the random torque, `gust` times as large from `gust_from` to `gust_to` s;
-    `more(time, roll, roll_rate)` N m is what a model may lack."""
+    `more(time, roll, roll_rate)` N m is a torque that a model may lack."""
 
     rms: float = 8.0
     correlation_time: float = 0.3

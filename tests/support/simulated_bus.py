@@ -1,4 +1,4 @@
-"""A virtual vehicle without a bus, and a master that speaks to it frame by frame in simulated time: for the tests."""
+"""A virtual vehicle without a bus, and a master that exchanges frames with it in simulated time: for the tests."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ class Harness:
         return [struct.unpack_from("<H", data)[0] for data in self.frames(0x80 + node)]
 
     def statusword(self, node: int = 1) -> int:
-        """Of the last TPDO."""
+        """The statusword in the last TPDO."""
         return int(struct.unpack_from("<H", self.frames(0x180 + node)[-1])[0])
 
     def sdo(self, node: int, index: int, subindex: int = 0, value: int | None = None, size: int = 4) -> int:
-        """Read, or write `value` of `size` bytes; the value, or minus the abort code."""
+        """Read, or write `value` of `size` bytes. Returns the value, or minus the abort code."""
         if value is None:
             request = struct.pack("<BHB4x", 0x40, index, subindex)
         else:
@@ -85,7 +85,7 @@ class Harness:
         self.vehicle.receive(0x000, bytes((command, node)))
 
     def set_up(self, mode: int = 2, timeout_ms: int = 120, reaction: int = 3) -> None:
-        """What a master writes before it starts the nodes."""
+        """Write what a master writes before it starts the nodes, and start them."""
         for node in (1, 2, 3):
             assert self.sdo(node, 0x6060, 0, mode, 1) >= 0
             assert self.sdo(node, 0x1016, 1, MASTER << 16 | timeout_ms) >= 0
@@ -110,7 +110,7 @@ class Harness:
             self.cycle(controlword, rpm, **options)
 
     def enable(self) -> None:
-        """Up to Operation enabled, the way a master does it."""
+        """Go to Operation enabled by the steps of a master."""
         self.cycles(0.1, DISABLE_VOLTAGE)
         self.cycles(0.05, SHUTDOWN)
         self.cycles(0.05, SWITCH_ON)

@@ -1,4 +1,4 @@
-"""A TCP proxy that is slow and far away, to be put between a browser and a broker."""
+"""A TCP proxy with limited rate and added delay, to be put between a browser and a broker."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ PIECE = 512
 
 
 class SlowLink:
-    """Listens at `port` of this machine, and passes on to `target` there, either way, until `close`.
+    """Listens at `port` of this machine and forwards to port `target`, in both directions, until `close`.
 
-    `rate` bytes a second get through; each comes `delay` s late. What finds it busy waits where it is.
+    It forwards `rate` bytes per second, each `delay` s late. Further data wait in the buffers of the sender.
     """
 
     def __init__(self, target: int, rate: float, delay: float) -> None:
@@ -40,7 +40,7 @@ class SlowLink:
                     self._pass_on(source, sink)
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
-        under_way: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+        in_transit: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
 
         def take() -> None:
             data = b"-"
@@ -50,12 +50,12 @@ class SlowLink:
                 except OSError:
                     data = b""
                 time.sleep(len(data) / self._rate)
-                under_way.put((time.monotonic() + self._delay, data))
+                in_transit.put((time.monotonic() + self._delay, data))
 
         def give() -> None:
             with suppress(OSError):
                 while True:
-                    due, data = under_way.get()
+                    due, data = in_transit.get()
                     time.sleep(max(0.0, due - time.monotonic()))
                     if not data:
                         sink.shutdown(socket.SHUT_WR)

@@ -1,6 +1,6 @@
-"""One small model that has all that a pass can do, and data for it.
+"""One small model that uses every feature of a pass, and data for it.
 
-Held and measured inputs, delays, lags, terms in time, and outputs that show inputs.
+Held and measured inputs, delays, lags, terms in time, and outputs that contain inputs.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ SHIFTED = {"push_delay": 0.0034, "both_delay": 0.0021, "wind_delay": 0.0057, "se
 
 
 def segment(*, regular: bool = False, rows: int = ROWS) -> Segment:
-    """Rows 1/128 s apart, whose sums are exact; unless `regular`, with jitter, and inputs sampled in between."""
-    source = np.random.default_rng(2)  # no two instants come within the step of the differences
+    """Samples 1/128 s apart, whose sums are exact; unless `regular`, with jitter and inputs sampled in between."""
+    source = np.random.default_rng(2)  # no two times are closer than the step of the differences
     time = np.arange(rows) / 128.0
     knots = np.repeat(time[:, None], len(PLANT.inputs), axis=1)
-    knots[:, 1] -= 0.003  # no two inputs change at once: which comes first would decide
+    knots[:, 1] -= 0.003  # no two inputs change at the same time: their order would matter
     if not regular:
         time = time + source.uniform(-2e-3, 2e-3, rows)
         knots = knots - source.uniform(0.0, 4e-3, knots.shape)

@@ -1,7 +1,7 @@
-"""A small closed loop of its own to test the estimators on: many noisy vehicles at once, one column a seed.
+"""A small independent closed loop to test the estimators with: many noisy vehicles at once, one column per seed.
 
 Nonlinear roll, gimbals with a first-order speed loop, gyro and accelerometer noise, quantised precession rate, drive
-values one control cycle old. Nothing of it comes from models/ or simulation/.
+values one control cycle old. It uses nothing from models/ or simulation/.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Truth:
     angular_momentum: float = 3300.0
     speed_loop_lag: float = 0.04
     gyro_density: float = 3.5e-5  # rad/s/sqrt(Hz)
-    accelerometer_roll_std: float = 0.003  # rad a sample
+    accelerometer_roll_std: float = 0.003  # rad, per sample
     coulomb_friction: float = 0.0  # N m
 
     def acceleration(self, roll: Array, rate: Array, precession_rate: Array) -> Array:
@@ -67,7 +67,7 @@ def run(
     jitter: float = 0.0,
     first_seed: int = 0,
 ) -> tuple[NDArray[np.int64], dict[str, Array]]:
-    """Time stamps (n,) in ns and channels (n, seeds). From the support, the paper's step rights the vehicle first."""
+    """Time stamps (n,) in ns and channels (n, seeds). From the support, the paper's step first brings it upright."""
     random = np.random.default_rng(first_seed)
     substeps = 4
     gains = np.array([21.0, 7.0, 0.35])  # roll, roll rate, precession rate: places the poles at 3 to 8 1/s
@@ -93,15 +93,15 @@ def run(
             roll_estimate += spacing * 0.5 * (gyro + last_gyro)
             roll_estimate += spacing * 0.93 * (tilt - roll_estimate)
         last_gyro = gyro
-        wanted = reference(time)
-        kick = np.where(righting, -0.42, 0.0) if from_support else np.zeros(seeds)
+        target = reference(time)
+        push = np.where(righting, -0.42, 0.0) if from_support else np.zeros(seeds)
         if time < 1.0:
-            kick = np.zeros(seeds)
+            push = np.zeros(seeds)
         righting &= roll_estimate > np.radians(0.2)
-        error = roll_estimate - wanted
+        error = roll_estimate - target
         integral = np.where(resting | righting, 0.0, integral + spacing * error)
         control = -(gains[0] * error + gains[1] * gyro + gains[2] * drive + integral_gain * integral)
-        setpoint = np.where(resting | righting, kick, np.clip(control, -1.0, 1.0))
+        setpoint = np.where(resting | righting, push, np.clip(control, -1.0, 1.0))
         for name, value in (
             ("roll", roll_estimate),
             ("roll_rate", gyro),
@@ -109,12 +109,12 @@ def run(
             ("precession_rate", drive),
             ("precession_rate_setpoint", setpoint),
             ("drive_age", time - drive_time),
-            ("roll_reference", wanted),
-            ("excitation", kick if from_support else wanted),
+            ("roll_reference", target),
+            ("excitation", push if from_support else target),
         ):
             table[name][k] = value
         stamps[k] = round((1000.0 + time) * 1e9)
-        # Drives latch at SYNC, 0.3 ms after the IMU sample, and answer with what they measure then.
+        # Drives latch at SYNC, 0.3 ms after the IMU sample, and answer with the values measured then.
         length = spacing + jitter * random.standard_normal()
         sync = 0.0003
         for part, dt in ((0, sync), *((i, (length - sync) / substeps) for i in range(1, substeps + 1))):
@@ -142,6 +142,6 @@ def frames(stamps: NDArray[np.int64], table: dict[str, Array], seed: int) -> Ite
 
 
 def recording(stamps: NDArray[np.int64], table: dict[str, Array], seed: int) -> Recording:
-    """The same as a recording."""
+    """The control cycles of one seed as a recording."""
     unknown = np.zeros(len(stamps))
     return Recording(MONOCAB, stamps, {n: table[n][:, seed] if n in table else unknown for n in MONOCAB.names})

@@ -1,4 +1,4 @@
-"""What `make test` leaves to `make thorough-test`: the same asked of further effects, sizes and records, for hours."""
+"""Cases that `make test` leaves to `make thorough-test`: the same tests of further effects, amplitudes and records."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Case = TypeVar("Case")
 
 
 def of_many(cases: Iterable[Case], *always: Case) -> list[object]:
-    """All `cases` to parametrise a test with. `make test` asks the ones of `always` alone."""
+    """All `cases` to parametrise a test with. `make test` runs only those in `always`."""
     found = list(cases)
     assert all(each in found for each in always)
     return [each if each in always else _thorough(each) for each in found]

@@ -1,4 +1,4 @@
-"""Broker, daemon with a virtual vehicle, and dashboard, as `broker/topology` starts them: real parts for the tests."""
+"""Broker, daemon with a virtual vehicle, and dashboard, as `broker/topology` starts them, for tests with real parts."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from service.control.api import ApiError, call
 REPOSITORY = Path(__file__).resolve().parents[2]
 LEASE = 1.0
 """s, for a machine that runs a browser, a broker, a plant and other tests on two processors: with a load of 12 on them
-the page's own timer was seen 0.3 s late, and its signs 0.4 s apart. What 300 ms mean is tested without a browser."""
+the page's timer was 0.3 s late, and its signs of life 0.4 s apart. A lease of 300 ms is tested without a browser."""
 
 
 def vehicle_text(**durations: float) -> str:
-    """The shipped vehicle file with a patient lease, and experiments of these durations, s."""
+    """The shipped vehicle file with a longer lease, and with these durations of experiments, s."""
     text = (REPOSITORY / "vehicles" / "monocab" / "vehicle.toml").read_text()
     text = text.replace("\n[imu]", f"lease = {LEASE}\n\n[imu]", 1)
     for name, seconds in durations.items():
@@ -45,7 +45,7 @@ def free_port() -> int:
 
 @dataclass
 class Topology:
-    """What runs. `page` is the dashboard's address."""
+    """The running parts. `page` is the dashboard's address."""
 
     folder: Path
     mqtt: int
@@ -60,7 +60,7 @@ class Topology:
         return (self.folder / "secrets" / user).read_text()
 
     def ask(self, verb: str, **arguments: Any) -> dict[str, Any]:
-        """The daemon's result, by its control socket."""
+        """The daemon's result of a request over its control socket."""
         return list(call([self.folder / "upright.sock"], {"verb": verb, **arguments}, timeout=60.0))[-1]
 
     def status(self) -> dict[str, Any]:
@@ -68,7 +68,7 @@ class Topology:
         return found
 
     def until(self, what: str, wanted: object, limit: float = 60.0) -> dict[str, Any]:
-        """Wait until the status says so."""
+        """Wait until the entry `what` of the status is `wanted`, and return the status."""
         status: dict[str, Any] = {}
         end = time.monotonic() + limit
         while time.monotonic() < end:
@@ -81,7 +81,7 @@ class Topology:
 
 @contextmanager
 def topology(folder: Path, text: str, *options: str) -> Iterator[Topology]:
-    """The script with this vehicle file, until the block ends."""
+    """Run the script with this vehicle file until the block ends."""
     if shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin:/usr/local/sbin") is None:
         pytest.skip("no mosquitto here: apt-get install mosquitto")
     file = folder / "monocab.toml"

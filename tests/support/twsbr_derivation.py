@@ -1,15 +1,15 @@
-"""The two-wheeled balancing robot from its energies: how the equations of vehicles.twsbr.model come about.
+"""The two-wheeled balancing robot from its energies: derivation of the equations of vehicles.twsbr.model.
 
-Coordinates (rad): angles theta of the left and the right wheel against the floor, and of the body against upright, all
+Coordinates (rad): angles theta of the left and the right wheel relative to the floor, and of the body from upright, all
 positive forward. x forward, y left, z up; the body's centre of mass is `com_height` above the axle. The wheels roll
 without slip, so with the mean wheel rate s' / wheel_radius the axle's middle moves by
 
     x' = s' cos(heading),  y' = s' sin(heading),  heading' = wheel_radius (right' - left') / wheel_distance.
 
 The heading can be integrated, x and y cannot. Putting x' and y' into the energies before Lagrange's derivatives are
-taken, as the paper does, leaves out what a centre of mass beside the axle feels in a turn (the centrifugal force
-body_mass com_height sin(tilt) heading'^2, and its counterpart about the vertical; neither does work). So Lagrange's
-equations are set up with x and y and then projected on the motions that rolling allows (Maggi):
+taken, as the paper does, omits the effect of a turn on a centre of mass beside the axle (the centrifugal force
+body_mass com_height sin(tilt) heading'^2, and its counterpart about the vertical; neither does work). Lagrange's
+equations are therefore set up with x and y and then projected on the motions that rolling allows (Maggi):
 
     q' = B rates,  B^T (d/dt dL/dq' - dL/dq) = forces,  that is  M rates' + V = forces.
 
@@ -31,7 +31,7 @@ class Derivation:
     """mass rates' + bias = forces, for the wheels' and the body's rates; `energy` is kinetic and potential, J.
 
     Symbols have the names of the model's parameters, and `angles`, `rates` (rad, rad/s), `voltages` (V) are (left,
-    right, tilt) and (left, right). `forces` are motors and friction, N m; gravity is in `bias`.
+    right, tilt) and (left, right). `forces` are those of motors and friction, N m; gravity is in `bias`.
     """
 
     angles: tuple[sympy.Symbol, ...]
@@ -66,7 +66,7 @@ def derive() -> Derivation:
     def speed_squared(*position: sympy.Expr) -> sympy.Expr:
         return sympy.Add(*(rate(each) ** 2 for each in position))
 
-    # Equations (5) to (9) of the paper: where wheels and body are, with the axle at the height r.
+    # Equations (5) to (9) of the paper: positions of wheels and body, with the axle at the height r.
     side = sympy.Matrix([-sympy.sin(heading), sympy.cos(heading)]) * d / 2
     left_wheel, right_wheel = (x + side[0], y + side[1]), (x - side[0], y - side[1])
     lean = height * sympy.sin(tilt)
@@ -85,7 +85,7 @@ def derive() -> Derivation:
     potential = GRAVITY * (2 * wheel_mass * r + body_mass * body[2])
     lagrangian = kinetic - potential
 
-    # (3) and (4): what rolling allows.
+    # (3) and (4): motions that rolling allows.
     forward = r * (left_dot + right_dot) / 2
     rates = sympy.Matrix([left_dot, right_dot, tilt_dot])
     allowed = sympy.Matrix([forward * sympy.cos(heading), forward * sympy.sin(heading), *rates])
@@ -99,7 +99,7 @@ def derive() -> Derivation:
     mass = directions.T * full_mass * directions
     bias = directions.T * (full_mass * turning + full_bias)
 
-    # (12) to (14), the current settled: R I = u - K n (theta' - tilt').
+    # (12) to (14) with the current in steady state: R I = u - K n (theta' - tilt').
     gear, constant, resistance = map(symbol, ("gear_ratio", "motor_constant", "armature_resistance"))
     voltages = sympy.symbols("left_voltage right_voltage", real=True)
     slip = [left_dot - tilt_dot, right_dot - tilt_dot]
@@ -112,7 +112,7 @@ def derive() -> Derivation:
     forces = [gears[0] - floor * left_dot, gears[1] - floor * right_dot, -gears[0] - gears[1]]
 
     def tidy(expression: sympy.Expr) -> sympy.Expr:
-        """Heading for x: all directions of a level floor are alike."""
+        """Take the heading along x: all directions on a level floor are equivalent."""
         expanded = sympy.expand(expression.subs(rolling).subs(right, left))
         return sympy.expand(expanded.subs(sympy.cos(tilt) ** 2, 1 - sympy.sin(tilt) ** 2))
 

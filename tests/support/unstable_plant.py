@@ -1,7 +1,7 @@
-"""A mass that a force of its own drives off the middle, held there by feedback: the smallest unstable plant.
+"""A mass that a position-dependent force drives off the middle, held there by feedback: the smallest unstable plant.
 
 mass x'' = force + drive x + disturbance, with a pole at sqrt(drive / mass) = 5 rad/s, by leapfrog ten times finer than
-it is sampled. The force is held from row to row, the position is measured with white noise.
+it is sampled. The force is held between samples, the position is measured with white noise.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SPACING, FINER = 0.005, 10
 
 
 def model() -> Model:
-    """The right equations, with values from a drawing that are 15 to 20 % off."""
+    """The true equations, with values from a drawing that are 15 to 20 % off."""
     drive = Parameter("drive", "N/m", 40.0, scale=DRIVE, meaning="of the force that grows with the distance")
     return axis(
         inertia=1.7,
@@ -35,7 +35,7 @@ def model() -> Model:
 
 
 def record(*, seed: int = 1, duration: float = 20.0, disturbance: float = 0.5) -> Recording:
-    """`disturbance` is white force noise, N/sqrt(Hz), beside known pushes of 7.3 N RMS."""
+    """`disturbance` is white force noise, N/sqrt(Hz), in addition to known pushes of 7.3 N RMS."""
     random = np.random.default_rng(seed)
     position, rate, push, before, speed = 0.0, 0.0, 0.0, 0.0, 0.0
     table = np.empty((2, round(duration / SPACING)))

@@ -1,4 +1,4 @@
-"""Recordings of the virtual vehicle that several test modules use: each is made once, some 4 s."""
+"""Recordings of the virtual vehicle that several test modules use: each is made once, in about 4 s."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from service.virtual.run import record
 from telemetry.recording import Recording
 
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
-"""Of the independent plant; what else the model names is the same in both."""
+"""True values of the independent plant; the other parameters are the same in plant and model."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""A diagnosis of a virtual vehicle, its report, and how a page is read."""
+"""A diagnosis of a virtual vehicle, its report, and a parser of its page."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ HOSTILE = 'runs/<script>alert("1")</script> & $x^2$ "a" <b>.arrow'
 HASH = "5e" * 32
 PROVENANCE = Provenance(vehicle="monocab", version="1.2.3", date="2031-02-03 04:05", hashes={HOSTILE: HASH})
 CANDIDATES = ("coulomb_friction", "stribeck_friction", "viscous_friction", "gyro_bias")
-"""Few, for the tests' time: the effect, what it is confused with, another, and one that a filter has learned."""
+"""Few, to keep the tests short: the effect, its confusable neighbour, another, and one that a filter has learned."""
 LARGEST = 3_000_000
-"""Bytes of a page that goes by mail."""
+"""Bytes, largest size of a page that can be sent by mail."""
 VOID = frozenset({"meta", "br", "link", "img", "input", "hr"})
 FIGURES = (
     "Measured and predicted, by channel, and the prediction errors",
@@ -37,7 +37,7 @@ FIGURES = (
 
 
 class Page(HTMLParser):
-    """Tags, attributes and text of a page; raises AssertionError where a tag is not closed where it should be."""
+    """Tags, attributes and text of a page; raises AssertionError if a tag is not closed at the right place."""
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -67,7 +67,7 @@ class Page(HTMLParser):
 
     @property
     def text(self) -> str:
-        """As it is read: runs of spaces are one."""
+        """The visible text, with each run of spaces as one."""
         return " ".join("".join(self.words).split())
 
     def all(self, tag: str) -> list[dict[str, str]]:
@@ -80,7 +80,7 @@ class Page(HTMLParser):
 
 @cache
 def record() -> Recording:
-    # The plant's bristle friction at its catalogue size, 60 N m: forty times what this record would show.
+    # The plant's bristle friction at its catalogue amplitude, 60 N m: forty times the detectable one in this record.
     return replace(multisine("coulomb_friction"), source=HOSTILE)
 
 
@@ -100,6 +100,6 @@ def page() -> Page:
 
 
 def of_little_matter() -> Diagnosis:
-    """What was found, as if it made 0.2 % of the error."""
+    """The diagnosis, as if the effect found caused 0.2 % of the error."""
     finding = replace(found().findings[0], relevance=Relevance(0.5, 0.2, 0.1))
     return replace(found(), findings=(finding,))
