@@ -6,6 +6,7 @@ import asyncio
 import socket
 import stat
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,19 @@ async def test_client_that_sends_endless_garbage_does_not_disturb_others(path: P
 async def test_daemon_that_ends_before_it_answers_is_reported(path: Path) -> None:
     with pytest.raises(ApiError, match="ended before it answered"):
         await ask(path, {"verb": "vanish"})
+
+
+def test_daemon_that_is_killed_with_a_request_unread_is_reported_alike(tmp_path: Path) -> None:
+    """The kernel then resets the connection instead of closing it."""
+    place = tmp_path / "x.sock"
+    with socket.create_server(str(place), family=socket.AF_UNIX) as daemon, ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(lambda: list(call([place], {"verb": "status"})))
+        connection, _ = daemon.accept()
+        while not connection.recv(1, socket.MSG_PEEK):
+            pass
+        connection.close()
+        with pytest.raises(ApiError, match="ended before it answered"):
+            asked.result(timeout=10.0)
 
 
 async def test_two_daemons_do_not_share_a_socket(path: Path) -> None:
