@@ -81,8 +81,8 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
     as much as the likeliest; empty if no fit succeeds.
 
     An impact that comes a sample early or late costs as much as one that was not predicted at all. So fits end hundreds
-    of nats apart, of thousands that they explain, and some of them with a filter that each impact throws off. How the
-    noise starts is tried with the first shape; the others start with the noise at which that fit ended.
+    of nats apart, of thousands that they explain, and some of them with a filter that each impact throws off. The
+    two starts of the noise are compared with the first shape only. The other shapes start with the noise of its fit.
     """
     starts = [with_effect(base.model, candidate, shape) for shape in candidate.variants]
     workspace.problem(starts[0])  # compiled before two threads need it

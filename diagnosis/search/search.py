@@ -6,8 +6,8 @@
     -> again, until nothing passes
 
 Then random parts are searched for with the effects in the model, and the effects again with each of these, as long as
-the evidence of all of them together rises. Effects that lead by more than the random part explains remain: it can raise
-the log-likelihood of no other model by more. A random part is not a finding about the vehicle.
+the evidence of all of them together rises. Effects that lead by more than the random part explains are kept (`_kept`).
+A random part is not a finding about the vehicle.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def search(base: FullFit, how: Search, before: Explanation | None = None) -> Fou
         if wider is None:
             return found
         own = replace(how, workspace=replace(workspace, untried=[])).part(begun, ONCE * (1.0 - begun))
-        kept = tried(partial(_kept, found, wider, workspace)) or Explanation((), wider)
+        kept = workspace.in_time(partial(_kept, found, wider, workspace), RANDOM)
+        if kept is None:
+            return found
         again = _effects(wider, kept, own)
         begun += ONCE * (1.0 - begun)
         for each in own.workspace.untried:

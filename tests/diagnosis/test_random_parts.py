@@ -17,12 +17,14 @@ from thorough import of_many
 import diagnosis.search.search
 from benchmarks.others_recordings import EFFECTS, SENSORS, OthersVehicle
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.fits.random_parts import RANDOM
 from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
 from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.report.sentences import disturbance_sentences, to_within
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.search import Found
+from estimators.budget import OutOfTime
 from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
 from estimators.fit.disturbance import disturbances
 from estimators.fit.maximum_likelihood import fit
@@ -366,3 +368,22 @@ def test_only_findings_that_lead_by_more_than_a_random_part_explains_are_kept(
     assert found.last is beside
     assert [each.effect for each in started[1].findings] == (["friction"] if kept else [])
     assert started[1].fit is (beside if kept else wider)
+
+
+def test_findings_stand_if_time_runs_out_before_they_are_fitted_with_the_random_part(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    base, wider = (SimpleNamespace(evidence=0.0, log_likelihood=each) for each in (0.0, 20.0))
+    named = SimpleNamespace(evidence=40.0)
+    found = Found(base, base, (SimpleNamespace(lead=90.0),), (named,), (), named)  # type: ignore[arg-type]
+
+    def out_of_time(*_: object) -> None:
+        raise OutOfTime
+
+    workspace, module = Workspace((), None, (), (), {}), diagnosis.search.search
+    monkeypatch.setattr(module, "_effects", lambda *_: found)
+    monkeypatch.setattr(module, "_outdone", lambda *_: False)
+    monkeypatch.setattr(module, "absorbed", lambda *_: wider)
+    monkeypatch.setattr(module, "_with_random_part", out_of_time)
+    assert module.search(base, Search(workspace)) is found  # type: ignore[arg-type]
+    assert workspace.untried == [RANDOM]
