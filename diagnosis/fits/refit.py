@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -20,9 +21,10 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Score
 from diagnosis.score.whitened import whitening
-from estimators.budget import UNLIMITED
+from diagnosis.trial import tried
+from estimators.budget import UNLIMITED, OutOfTime
 from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
-from estimators.fit.maximum_likelihood import Begin, Fit, fit
+from estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit, fit
 from estimators.fit.result import inverse
 from models.model import Model
 from models.parts import Parameter, Place
@@ -43,6 +45,9 @@ LONGER = 24
 model holds near zero, and there the first step moves all parameters as in the score test."""
 FURTHER_FITS = 2
 """Times that a fit which does not converge is continued."""
+COMPARED = 0.02
+"""Fall of the cost below which a fit that is only compared with others makes no further step: no parameter would move by
+more than a fifth of its standard deviation, and no decision is about a fiftieth of a nat."""
 CREEPING = 1.0
 """Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 
@@ -188,16 +193,30 @@ def full(
     candidate: Candidate | None = None,
     begin: Begin | None = None,
     longer: int = 0,
+    enough: float = COMPARED,
 ) -> FullFit:
-    """The fit of `model` with its noise, starting from its values, or from `begin`. `candidate` is the effect that was
-    added last. A fit that does not converge is continued from its end, up to `longer` times, as long as that makes a
-    difference."""
-    fitted = fit(workspace.problem(model), begin=begin)
+    """The fit of `model` with its noise, starting from its values, or from `begin`, until the cost is not expected to
+    fall by more than `enough`. `candidate` is the effect that was added last. A fit that does not converge is continued
+    from its end, up to `longer` times, as long as that makes a difference."""
+    fitted = fit(workspace.problem(model), begin=begin, enough=enough)
     for _ in range(longer):
         if fitted.minimum.converged or _creeps(fitted):
             break
-        fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end)
+        fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end, enough=enough)
     return _full(model, fitted, workspace, candidate)
+
+
+def exactly(fitted: FullFit, workspace: Workspace) -> FullFit:
+    """`fitted` continued until its estimates are exact, for a fit that is reported; unchanged if that fails, or no time
+    is left for it."""
+    again = partial(fit, workspace.problem(fitted.model), near=fitted.fit, begin=fitted.fit.end)
+    try:
+        ended = tried(again)
+    except OutOfTime:
+        return fitted
+    if ended is None or not ended.minimum.converged:
+        return fitted
+    return _full(fitted.model, ended, workspace, fitted.candidate)
 
 
 def remembered(
@@ -223,7 +242,7 @@ def _held_at(parameter: Parameter) -> float | None:
 def settled(model: Model, workspace: Workspace) -> FullFit:
     """The fit of `model` alone, with which all others are compared: it is restarted from its end until that changes
     nothing. In a narrow valley steps become short, and with fresh ones it has improved by another 1,200 nats."""
-    found = full(model, workspace, longer=FURTHER_FITS)
+    found = full(model, workspace, longer=FURTHER_FITS, enough=ENOUGH)
     for _ in range(FURTHER_FITS):
         fitted = fit(workspace.problem(model), near=found.fit, begin=found.fit.end)
         again = _full(model, fitted, workspace)

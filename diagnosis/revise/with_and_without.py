@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnosis.evidence import likelier
 from diagnosis.fits.finer import finest
-from diagnosis.fits.refit import FullFit, full, settled, t_ratio
+from diagnosis.fits.refit import FullFit, exactly, full, settled, t_ratio
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
@@ -114,7 +114,8 @@ def each_with(
     scored = tried(partial(look, base, workspace)) or ScoreTest((), {})
     fits = each_fitted(base, scored, workspace, report)
     likeliest = sorted(fits.values(), key=lambda each: -each.evidence)
-    return {each.name: _shapes_held(each, workspace) for each in finest(likeliest, workspace)}, scored
+    held = [_shapes_held(each, workspace) for each in finest(likeliest, workspace)]
+    return {each.name: exactly(each, workspace) for each in held}, scored
 
 
 def _shapes_held(fitted: FullFit, workspace: Workspace) -> FullFit:

@@ -176,7 +176,8 @@ def undisturbed_fit(base: FullFit, workspace: Workspace) -> FullFit | None:
     number = len(disturbances(base.fit))
     if number == 0:
         return None
-    found = workspace.in_time(partial(full, with_zero_disturbances(base.model), workspace.for_one), IN_PLACE)
+    one = partial(full, with_zero_disturbances(base.model), workspace.for_one, enough=CREEPING)
+    found = workspace.in_time(one, IN_PLACE)
     there = found is not None and beyond_chance(base.log_likelihood - found.log_likelihood, 2 * number)
     return found if there else None
 

@@ -18,7 +18,7 @@ from functools import partial
 from diagnosis.evidence import beyond_chance, likelier
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.fits.random_parts import RANDOM, absorbed, expected_log_ratio
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_ratio, remembered, settled, with_effect
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, exactly, full, log_ratio, remembered, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
@@ -61,15 +61,17 @@ def search(base: FullFit, how: Search, before: Explanation | None = None) -> Fou
     held = workspace.in_time(partial(_held, base, before, how), RANDOM) if before else None
     base, known = held or (base, Explanation((), base))
     # If a random part seems to explain more than any effect, the search without it leaves it half of the time.
-    hurried = not known.findings and _outdone(base, how)
-    first = replace(how, workspace=workspace.within(HALF)) if hurried else how
+    alone = _alone(base, workspace)
+    hurried = not known.findings and _outdone(base, alone)
+    first = replace(how, workspace=workspace.within(HALF), alone=alone) if hurried else replace(how, alone=alone)
     begun = ONCE
     found = _effects(base, known, first.part(0.0, begun))
     while True:
         wider = workspace.in_time(partial(absorbed, found.base, found.last, workspace), RANDOM)
         if wider is None:
             return found
-        own = replace(how, workspace=replace(workspace, untried=[])).part(begun, ONCE * (1.0 - begun))
+        own = replace(how, workspace=replace(workspace, untried=[]), alone=_alone(wider, workspace))
+        own = own.part(begun, ONCE * (1.0 - begun))
         kept = workspace.in_time(partial(_kept, found, wider, workspace), RANDOM)
         if kept is None:
             return found
@@ -88,34 +90,36 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
     workspace, most = how.workspace, how.most
     bare = _without_impacts(base, how)
     of_impacts = _left_by_impacts(base, bare)
-    now, last, fits, score_tests = known, known.fit, one_by_one(known, workspace.unlimited), list[ScoreTest]()
-    if now.findings:
-        score_tests.append(tried(partial(look, base, workspace.unlimited)) or NOTHING_SCORED)
+    now, last, fits, score_tests = known, known.fit, one_by_one(known, workspace.unlimited), [how.alone]
+    scored = None if now.findings else how.alone
     while True:
-        part = replace(how, alone=score_tests[0] if score_tests else NOTHING_SCORED)
-        part = part.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
+        part = how.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
         beside = f", with {now.names[-1]} in the model" if now.findings else ""
         part.progress(f"scoring all effects{beside}", 0.0)
         what = "further effects" if now.findings else "the search for effects"
-        scored = workspace.in_time(partial(look, now.fit, workspace if score_tests else workspace.unlimited), what)
-        score_tests.append(scored or NOTHING_SCORED)
+        if scored is None:
+            scored = workspace.in_time(partial(look, now.fit, workspace), what)
+            score_tests.append(scored or NOTHING_SCORED)
         if scored is None or len(now.findings) >= most:
             break
         further = workspace.in_time(partial(_one_more, now, scored, part), what)
         if further is not None:
             *before, new = further.findings
-            if new.log_likelihood_gain < required_log_ratio(new, before, score_tests[0], of_impacts):
+            if new.log_likelihood_gain < required_log_ratio(new, before, how.alone, of_impacts):
                 last = further.fit  # too little for a name, but known
                 break
         if further is None and not now.findings and most > 1:
             further = workspace.in_time(partial(add_two, now, scored, part), "two effects at once")
         if further is None:
             break
-        now = revised(further, part)
+        now, scored = revised(further, part), None
         last = now.fit
         grown = now.names == further.names and len(now.names) == len(fits) + 1
-        alone = None if grown else tried(partial(one_by_one, now, workspace.unlimited))
-        fits = [*fits, now.fit] if alone is None else alone
+        each = None if grown else tried(partial(one_by_one, now, workspace.unlimited))
+        fits = [*fits, now.fit] if each is None else each
+    if now.findings:
+        exact = exactly(now.fit, workspace)
+        last, now, fits = exact if last is now.fit else last, replace(now, fit=exact), [*fits[:-1], exact]
     findings = [replace(each, made_of=_made_of(each, now, workspace)) for each in now.findings]
     findings = [tried(partial(with_estimates, each, now.fit)) or each for each in findings]
     return Found(base, bare, tuple(findings), tuple(fits), tuple(score_tests), last)
@@ -175,13 +179,14 @@ def _with_random_part(named: FullFit, wider: FullFit, workspace: Workspace) -> F
     return remembered(model, workspace, begin=begin)
 
 
-def _outdone(base: FullFit, how: Search) -> bool:
+def _alone(base: FullFit, workspace: Workspace) -> ScoreTest:
+    """The score test of the model alone, however long it takes."""
+    return tried(partial(look, base, workspace.unlimited)) or NOTHING_SCORED
+
+
+def _outdone(base: FullFit, alone: ScoreTest) -> bool:
     """Whether a random part seems to explain more than any effect does, neither of them fitted."""
-    gain = expected_log_ratio(base)
-    if not gain:
-        return False
-    scored = how.workspace.in_time(partial(look, base, how.workspace), "the search for effects")
-    return scored is not None and gain > max((score.gain for score in scored.scores), default=0.0)
+    return expected_log_ratio(base) > max((score.gain for score in alone.scores), default=0.0)
 
 
 def _without_impacts(base: FullFit, how: Search) -> FullFit:

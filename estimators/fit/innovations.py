@@ -14,7 +14,6 @@ doubling: Chu et al., International Journal of Control 77 (2004) 767-788.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,12 +65,12 @@ class SteadyState:
         D = F' D F + C' S^-1 C. What the samples determine without bound counts as zero, with derivatives of zero.
         """
         turned, places = self.predictor.T, list(unknowns)
-        found = stationary_all(turned[None], self.sample[None])[0]
+        found = stationary_all(turned, self.sample[None])[0]
         if not np.isfinite(found).all():
             return np.zeros_like(found), np.zeros((len(places), *found.shape))
         half = _turned(self.predictor_slopes[places]) @ found @ self.predictor
         moved = half + _turned(half) + self.sample_slopes[places]
-        slopes = stationary_all(np.repeat(turned[None], len(places), axis=0), moved)
+        slopes = stationary_all(turned, moved)
         return found, np.where(np.isfinite(slopes), slopes, 0.0)
 
 
@@ -157,8 +156,8 @@ class NoiseModel:
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
         """The filter gain (nx, ny) at parameter values (np,); None if no filter is stable."""
-        steady = _steady(*(each[None] for each in self.covariances(values, logarithms)))
-        return steady.gain[0] if steady.there[0] else None
+        steady = _steady(*self.covariances(values, logarithms))
+        return None if steady is None else steady.gain
 
     def units(self, values: Array, logarithms: Array, covariance: Array) -> Array:
         """Ratio (n, nx) of the actual noise that drives each state to its value in this model, if the innovations have
@@ -168,11 +167,16 @@ class NoiseModel:
         corrections k e over that expected with these noises: the square root of k S k' over its expectation, with k the
         state's row of the gain.
         """
-        steady = _steady(*self._systems(values, logarithms))
-        moved = np.einsum("nij,jk,nik->ni", steady.gain, covariance, steady.gain)
-        expected = np.einsum("nij,njk,nik->ni", steady.gain, steady.innovation, steady.gain)
-        corrected = expected > 0.0
-        return np.where(corrected, np.sqrt(moved / np.where(corrected, expected, 1.0)), 1.0)
+        found = np.ones((len(logarithms), len(self.process)))
+        for unit, system in zip(found, zip(*self._systems(values, logarithms), strict=True), strict=True):
+            if (steady := _steady(*system)) is None:
+                continue
+            moved, expected = (
+                np.einsum("ij,jk,ik->i", steady.gain, each, steady.gain) for each in (covariance, steady.innovation)
+            )
+            corrected = expected > 0.0
+            unit[corrected] = np.sqrt(moved[corrected] / expected[corrected])
+        return found
 
     def innovation(self, values: Array, logarithms: Array, gain: Array | None) -> Array | None:
         """Covariance (ny, ny) of the innovations of a predictor with this `gain` (nx, ny), at parameter values (np,)
@@ -203,8 +207,8 @@ class NoiseModel:
         many = np.repeat(values[None], 2 * len(free) + 1, axis=0)
         many[:-1, list(free)] += moves[: 2 * len(free), : len(free)]
         systems = self._systems(many, logarithms + np.concatenate((moves[:, len(free) :], np.zeros((1, self.size)))))
-        steady = _steady(*(each[-1:] for each in systems))
-        if not steady.there[0]:
+        steady = _steady(*(each[-1] for each in systems))
+        if steady is None:
             return None
         rises = [(each[:-1:2] - each[1::2]) / (2.0 * sizes)[:, None, None] for each in systems]
         try:
@@ -267,9 +271,8 @@ def _places(names: Sequence[str], same: dict[str, str], *, first: int) -> tuple[
 
 @dataclass(frozen=True, slots=True)
 class _Steady:
-    """Steady-state filters: the systems (n, ...), covariances (n, nx, nx) of the state before a correction and
-    (n, ny, ny) of the innovation, gain `ahead` (n, nx, ny) of the one-step prediction, `gain` of the filter, and
-    whether a filter is `there` (n,); NaN if not."""
+    """A steady-state filter: its system, covariances (nx, nx) of the state before a correction and (ny, ny) of the
+    innovation, gain `ahead` (nx, ny) of the one-step prediction, and `gain` of the filter."""
 
     transition: Array
     output: Array
@@ -277,19 +280,16 @@ class _Steady:
     innovation: Array
     ahead: Array
     gain: Array
-    there: NDArray[np.bool_]
 
     def differentiated(
         self, transition: Array, output: Array, process: Array, sensor: Array, across: Array
     ) -> SteadyState:
-        """The first filter with its derivatives, given m derivatives of its system.
+        """The filter with its derivatives, given m derivatives of its system.
 
         The covariance is minimal with respect to the gain, so its derivative is that with the gain held, from a
         Lyapunov equation.
         """
-        A, C, P, L, S = (
-            each[0] for each in (self.transition, self.output, self.covariance, self.ahead, self.innovation)
-        )
+        A, C, P, L, S = self.transition, self.output, self.covariance, self.ahead, self.innovation
         closed = A - L @ C
         half = (transition - L @ output) @ P @ closed.T - across @ L.T
         moved = half + _turned(half) + process + L @ sensor @ L.T
@@ -300,11 +300,11 @@ class _Steady:
         innovation = output @ P @ C.T + C @ seen + sensor
         ahead = transition @ P @ C.T + A @ seen + across - L @ innovation
         ahead = _turned(np.linalg.solve(S, _turned(ahead)).astype(np.float64))
-        gain = np.linalg.solve(A, ahead - transition @ self.gain[0])
+        gain = np.linalg.solve(A, ahead - transition @ self.gain)
         known = np.linalg.solve(S, C)
         half = _turned(output) @ known
         return SteadyState(
-            gain=self.gain[0],
+            gain=self.gain,
             slopes=np.ascontiguousarray(gain.reshape(len(gain), -1).T),
             predictor=closed,
             predictor_slopes=transition - ahead @ C - L @ output,
@@ -313,70 +313,50 @@ class _Steady:
         )
 
 
-def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady:
-    """The filters whose gains K make x + K (y - C x) the minimum-variance estimates.
+def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady | None:
+    """The filter whose gain K makes x + K (y - C x) the minimum-variance estimate; None if there is none.
 
-    x+ = A x + w, y = C x + v with covariances process (n, nx, nx), sensor (n, ny, ny), across (n, nx, ny) = E w v'.
+    x+ = A x + w, y = C x + v with covariances process (nx, nx), sensor (ny, ny), across (nx, ny) = E w v'.
     """
-    count, outputs, states = output.shape
-    finite = np.isfinite(transition).all(axis=(1, 2)) & np.isfinite(process).all(axis=(1, 2))
-    covariance, innovation = (np.full((count, size, size), np.nan) for size in (states, outputs))
-    ahead, gain = (np.full((count, states, outputs), np.nan) for _ in range(2))
-    there = np.zeros(count, dtype=bool)
-
-    def fill(some: NDArray[np.intp]) -> None:
-        A, C, Q, R, S = (each[some] for each in (transition, output, process, sensor, across))
-        inner = np.linalg.solve(R, np.concatenate((C, _turned(S)), axis=2))
-        P = _doubled(A - S @ inner[:, :, :states], _turned(C) @ inner[:, :, :states], Q - S @ inner[:, :, states:])
-        settled = np.isfinite(P).all(axis=(1, 2))
-        some, A, C, R, S, P = some[settled], A[settled], C[settled], R[settled], S[settled], P[settled]
-        covariance[some] = P
-        innovation[some] = seen = C @ P @ _turned(C) + R
-        ahead[some] = L = _turned(np.asarray(np.linalg.solve(seen, _turned(A @ P @ _turned(C) + S)), dtype=np.float64))
-        gain[some] = K = np.linalg.solve(A, L)
-        there[some] = np.isfinite(K).all(axis=(1, 2))
-
-    able = np.flatnonzero(finite)
+    if not (np.isfinite(transition).all() and np.isfinite(process).all()):
+        return None
+    A, C, S, states = transition, output, across, len(transition)
     try:
-        fill(able)
-    except np.linalg.LinAlgError:  # one of the systems has no filter: solve each alone
-        for place in able:
-            with suppress(np.linalg.LinAlgError):
-                fill(able[able == place])
-    return _Steady(transition, output, covariance, innovation, ahead, gain, there)
+        inner = np.linalg.solve(sensor, np.concatenate((C, S.T), axis=1))
+        P = _doubled(A - S @ inner[:, :states], C.T @ inner[:, :states], process - S @ inner[:, states:])
+        if P is None:
+            return None
+        innovation = C @ P @ C.T + sensor
+        ahead = np.linalg.solve(innovation, C @ P @ A.T + S.T).astype(np.float64).T
+        gain = np.linalg.solve(A, ahead).astype(np.float64)
+    except np.linalg.LinAlgError:
+        return None
+    return _Steady(A, C, P, innovation, ahead, gain) if np.isfinite(gain).all() else None
 
 
 def _turned(matrices: Array) -> Array:
     return np.swapaxes(matrices, -1, -2)
 
 
-def _doubled(transition: Array, known: Array, process: Array) -> Array:
-    """P = A P (I + G P)^-1 A' + Q by doubling, (n, nx, nx); NaN if it does not converge.
+def _doubled(transition: Array, known: Array, process: Array) -> Array | None:
+    """P = A P (I + G P)^-1 A' + Q by doubling, (nx, nx); None if it does not converge.
 
     Raises LinAlgError if a matrix is singular."""
-    states = transition.shape[1]
-    found = np.full_like(process, np.nan)
+    states = len(transition)
     unit = np.eye(states)
-    A, G, H = _turned(transition), known, 0.5 * (process + _turned(process))
-    left = np.arange(len(found))
-    for _ in range(DOUBLINGS):
-        if not len(left):
-            break
-        ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=2))
-        first, second = ratio[:, :, :states], ratio[:, :, states:]
-        with np.errstate(over="ignore", invalid="ignore"):  # on overflow there is no steady-state filter
-            grown = H + _turned(A) @ H @ first
-            G = G + A @ second @ _turned(A)
-            A = A @ first
+    A, G, H = transition.T, known, 0.5 * (process + process.T)
+    with np.errstate(over="ignore", invalid="ignore"):  # on overflow there is no steady-state filter
+        for _ in range(DOUBLINGS):
+            ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=1))
+            first, second = ratio[:, :states], ratio[:, states:]
+            grown = H + A.T @ H @ first
+            if not np.isfinite(grown).all():
+                return None
             # Each state in its own unit: compared with a disturbance of 100 N m, an angle of 1e-5 rad would count as
             # converged too early.
-            size = np.sqrt(np.maximum(np.diagonal(grown, axis1=1, axis2=2), 0.0))
+            size = np.sqrt(np.maximum(grown.diagonal(), 0.0))
             # Convergence is quadratic, so the next doubling is exact.
-            near = np.abs(grown - H) <= SETTLED * size[:, :, None] * size[:, None, :]
-        finite, settled = np.isfinite(grown).all(axis=(1, 2)), near.all(axis=(1, 2))
-        found[left[finite & settled]] = 0.5 * (grown + _turned(grown))[finite & settled]
-        on = finite & ~settled
-        H = grown
-        if not on.all():
-            left, A, G, H = left[on], A[on], G[on], H[on]
-    return found
+            if (np.abs(grown - H) <= SETTLED * size[:, None] * size).all():
+                return np.asarray(0.5 * (grown + grown.T))
+            G, A, H = G + A @ second @ A.T, A @ first, grown
+    return None

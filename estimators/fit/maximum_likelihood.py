@@ -135,8 +135,10 @@ def fit(
     iterations: int = ITERATIONS,
     near: Fit | None = None,
     begin: Begin | None = None,
+    enough: float = ENOUGH,
 ) -> Fit:
-    """Fits parameters and noise, from the model's values or from `begin`, in at most `iterations` steps.
+    """Fits parameters and noise, from the model's values or from `begin`, in at most `iterations` steps, until the cost
+    is not expected to fall by more than `enough`.
 
     Noise and initial states start as in the fit `near` to the same data, if it is given. White process noise and a
     disturbance are confusable: the residual torque may first be attributed to the one that is finally less likely. So
@@ -147,7 +149,7 @@ def fit(
     found: list[Fit] = []
     for place, start in enumerate(starts):
         try:
-            found.append(_fit(task, prior, iterations, near, start))
+            found.append(_fit(task, prior, iterations, near, start, enough))
         except ArithmeticError:
             if place == len(starts) - 1 and not found:
                 raise
@@ -169,7 +171,9 @@ def noise_of(task: Problem, *, shaken: float = 0.0, white: float = 0.0) -> Array
     return logarithms
 
 
-def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: Begin | None) -> Fit:
+def _fit(
+    task: Problem, prior: bool, iterations: int, near: Fit | None, begin: Begin | None, enough: float
+) -> Fit:
     size = len(task.free)
     likelihood = Likelihood.of(task, np.array([parameter.std if prior else 0.0 for parameter in task.parameters]))
     noises = np.ones(likelihood.noise.size)
@@ -203,7 +207,7 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
             upper=inside.inside(upper),
             iterations=iterations,
             tolerance=1e-6,
-            enough=ENOUGH,
+            enough=enough,
             watched=size,
         )
         if found is None:

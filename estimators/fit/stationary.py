@@ -17,7 +17,7 @@ SETTLED = 1e-13
 
 def stationary(transition: Array, driven: Array) -> Array:
     """X = A X A' + Q (nx, nx), of one system (stationary_all). Raises EstimationError if X grows without bound."""
-    found = np.asarray(stationary_all(transition[None], driven[None])[0])
+    found = np.asarray(stationary_all(transition, driven[None])[0])
     if np.isfinite(found).all():
         return found
     raise EstimationError(
@@ -26,24 +26,21 @@ def stationary(transition: Array, driven: Array) -> Array:
 
 
 def stationary_all(transition: Array, driven: Array) -> Array:
-    """X = A X A' + Q (n, nx, nx), by doubling: Q + A Q A', then over twice as many samples, and so on; NaN if X grows
-    without bound.
+    """X = A X A' + Q (n, nx, nx) for each of n matrices Q, by doubling: Q + A Q A', then over twice as many samples,
+    and so on; NaN if X grows without bound.
 
     A state that decays slowly or not at all causes no error if nothing drives it, unlike in a linear system of
     equations for all of X at once. Source: Smith, SIAM J. Applied Mathematics 16 (1968) 198.
     """
-    found = np.full(driven.shape, np.nan)
-    total, power, left = driven, transition, np.arange(len(driven))
+    total, power = driven, transition
+    settled = np.zeros(len(driven), dtype=bool)
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(DOUBLINGS):
-            if not len(left):
-                break
-            more = power @ total @ np.swapaxes(power, 1, 2)
+            more = power @ total @ power.T
             total = total + more
-            settled = np.abs(more).max(axis=(1, 2)) <= SETTLED * np.abs(total).max(axis=(1, 2))
-            found[left[settled]] = 0.5 * (total + np.swapaxes(total, 1, 2))[settled]
-            on = np.isfinite(total).all(axis=(1, 2)) & ~settled
-            if not on.all():
-                left, total, power = left[on], total[on], power[on]
+            largest = np.abs(total).max(axis=(1, 2), initial=0.0)
+            settled |= np.abs(more).max(axis=(1, 2), initial=0.0) <= SETTLED * largest
+            if (settled | ~np.isfinite(largest)).all():
+                break
             power = power @ power
-    return found
+    return np.where(settled[:, None, None], 0.5 * (total + np.swapaxes(total, 1, 2)), np.nan)

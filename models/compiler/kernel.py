@@ -32,6 +32,7 @@ FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
 """The functions in the code of a model (models.compiler.codegen, models.compiler.column_code)."""
 LOOPS = "upright_run"
 LARGEST = 1e30
+"""Root of the sum of squares of all predictions, or of all their derivatives, of which a model has diverged."""
 LINE = 64
 """Bytes of a cache line."""
 ELSEWHERE = -1
@@ -55,8 +56,8 @@ class Run:
     @property
     def diverges(self) -> bool:
         """Whether a number is not finite, or too large for any vehicle."""
-        largest = (np.max(np.abs(part), initial=0.0) for part in (self.predicted, self.sensitivity))
-        return not all(each < LARGEST for each in largest)  # NaN is not less
+        squares = (float(np.vdot(part, part)) for part in (self.predicted, self.sensitivity))
+        return not all(each < LARGEST**2 for each in squares)  # NaN is not less
 
 
 @dataclass(slots=True)
