@@ -46,8 +46,8 @@ model holds near zero, and there the first step moves all parameters as in the s
 FURTHER_FITS = 2
 """Times that a fit which does not converge is continued."""
 COMPARED = 0.02
-"""Fall of the cost below which a fit that is only compared with others makes no further step: no parameter would move by
-more than a fifth of its standard deviation, and no decision is about a fiftieth of a nat."""
+"""Fall of the cost below which a fit that is only compared with others makes no further step: no parameter would move
+by more than a fifth of its standard deviation, and no decision is about a fiftieth of a nat."""
 CREEPING = 1.0
 """Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 

@@ -195,5 +195,6 @@ def test_covariance_has_converged_only_when_that_of_each_state_has() -> None:
     transition, known, process = np.diag([0.6, 0.99995]), np.diag([1e-4, 1e10]), np.diag([1e4, 1e-18])
     both = innovations._doubled(transition, known, process)
     alone = innovations._doubled(transition[1:, 1:], known[1:, 1:], process[1:, 1:])
-    assert both is not None and alone is not None
+    assert both is not None
+    assert alone is not None
     assert both[1, 1] / alone[0, 0] == pytest.approx(1.0, rel=1e-6)
