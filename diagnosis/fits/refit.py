@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -209,7 +208,10 @@ def full(
 def exactly(fitted: FullFit, workspace: Workspace) -> FullFit:
     """`fitted` continued until its estimates are exact, for a fit that is reported; unchanged if that fails, or no time
     is left for it."""
-    again = partial(fit, workspace.problem(fitted.model), near=fitted.fit, begin=fitted.fit.end)
+
+    def again() -> Fit:
+        return fit(workspace.problem(fitted.model), near=fitted.fit, begin=fitted.fit.end)
+
     try:
         ended = tried(again)
     except OutOfTime:

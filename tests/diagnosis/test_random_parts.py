@@ -22,7 +22,7 @@ from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
 from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.report.sentences import disturbance_sentences, to_within
-from diagnosis.search.explanation import Explanation, Search
+from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
 from diagnosis.search.search import Found
 from estimators.budget import OutOfTime
 from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
@@ -337,6 +337,7 @@ def test_search_with_a_random_part_that_is_cut_short_keeps_the_first_result(
     parts = iter([base])
     module = diagnosis.search.search
     monkeypatch.setattr(module, "_effects", effects)
+    monkeypatch.setattr(module, "_alone", lambda *_: NOTHING_SCORED)
     monkeypatch.setattr(module, "_outdone", lambda *_: False)
     monkeypatch.setattr(module, "absorbed", lambda *_: next(parts, None))
     found = module.search(base, Search(workspace))  # type: ignore[arg-type]
@@ -361,6 +362,7 @@ def test_only_findings_that_lead_by_more_than_a_random_part_explains_are_kept(
 
     parts, module = iter([wider]), diagnosis.search.search
     monkeypatch.setattr(module, "_effects", effects)
+    monkeypatch.setattr(module, "_alone", lambda *_: NOTHING_SCORED)
     monkeypatch.setattr(module, "_outdone", lambda *_: False)
     monkeypatch.setattr(module, "absorbed", lambda *_: next(parts, None))
     monkeypatch.setattr(module, "_with_random_part", lambda *_: beside)
@@ -382,6 +384,7 @@ def test_findings_stand_if_time_runs_out_before_they_are_fitted_with_the_random_
 
     workspace, module = Workspace((), None, (), (), {}), diagnosis.search.search
     monkeypatch.setattr(module, "_effects", lambda *_: found)
+    monkeypatch.setattr(module, "_alone", lambda *_: NOTHING_SCORED)
     monkeypatch.setattr(module, "_outdone", lambda *_: False)
     monkeypatch.setattr(module, "absorbed", lambda *_: wider)
     monkeypatch.setattr(module, "_with_random_part", out_of_time)
