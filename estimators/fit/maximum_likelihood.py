@@ -171,9 +171,7 @@ def noise_of(task: Problem, *, shaken: float = 0.0, white: float = 0.0) -> Array
     return logarithms
 
 
-def _fit(
-    task: Problem, prior: bool, iterations: int, near: Fit | None, begin: Begin | None, enough: float
-) -> Fit:
+def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: Begin | None, enough: float) -> Fit:
     size = len(task.free)
     likelihood = Likelihood.of(task, np.array([parameter.std if prior else 0.0 for parameter in task.parameters]))
     noises = np.ones(likelihood.noise.size)
