@@ -24,7 +24,11 @@ MODEL = with_values(
 
 
 @pytest.mark.parametrize(
-    "hide", [("disturbance", "coulomb_friction"), ("coulomb_friction",)], ids=["disturbed", "undisturbed"]
+    "hide",
+    [
+        pytest.param(("disturbance", "coulomb_friction"), id="disturbed"),
+        pytest.param(("coulomb_friction",), id="undisturbed", marks=pytest.mark.thorough),
+    ],
 )
 def test_friction_with_an_elastic_contact_is_the_only_finding(hide: tuple[str, ...]) -> None:
     """With the sign of the rate it was Stribeck friction, backlash beside it, or something that no effect explains."""

@@ -87,7 +87,6 @@ class TestVirtualGimbals:
                 ("input_asymmetry", 2.0, 5e-5),
                 ("input_gain", 4.0, 2e-3),
             ],
-            ("input_delay", 2.0, 1e-3),
             ("input_gain", 4.0, 2e-3),
         ),
     )

@@ -261,7 +261,7 @@ def within_error(found: float, error: float, truth: float) -> bool:
     return abs(math.log(found / truth)) < MOST * error / found
 
 
-@pytest.mark.parametrize("sensor", ["wander", "vibration"])
+@pytest.mark.parametrize("sensor", of_many(["wander", "vibration"], "wander"))
 def test_gyro_error_is_estimated_and_not_confounded_with_anything_else(tmp_path: Path, sensor: str) -> None:
     found = diagnosed(others(tmp_path, sensor))
     assert found.verdict is Verdict.ADEQUATE

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from diagnosis.live.live import LiveDiagnosis
@@ -74,7 +75,7 @@ def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[LiveResul
 
 
 @pytest.mark.parametrize("air", ["disturbance", "disturbance=2", ""])
-@pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
+@pytest.mark.parametrize("seed", of_many([SEED, SEED + 1, SEED + 2], SEED))
 def test_no_effect_is_named_at_any_time_if_none_is_hidden(seed: int, air: str) -> None:
     """Without a disturbance in the model, effects were named in three of three robots in a draught."""
     results = list(course(run(seed=seed, air=air), made()))
@@ -131,7 +132,7 @@ def test_load_added_during_the_run_is_named_with_its_time() -> None:
     assert abs(first.since - onset) < 1.0  # a ramp of 0.3 s, reported in whole seconds
 
 
-@pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
+@pytest.mark.parametrize("seed", of_many([SEED, SEED + 1, SEED + 2], SEED))
 def test_no_effect_is_named_in_a_segment_that_begins_in_motion(seed: int) -> None:
     """The tilt filter's low pass remembers earlier motion of the wheels: up to 0.03 rad that no reading shows. With a
     prior of 0.001 rad for it, effects of the first seconds' size were named in 5 of 11 runs."""

@@ -67,6 +67,7 @@ class TestNames:
         assert "roll_rate" in found.unexplained.shape.name
         assert "of no known shape" in found.reason
 
+    @pytest.mark.thorough
     def test_stiffness_varying_between_frequencies_of_a_coarse_grid_is_unknown(self) -> None:
         # Twice the minimum detectable amplitude. A cubic stiffness imitates a tenth of it. The record resolves 0.03 Hz,
         # so the spectral line next to it shows nothing.
@@ -78,6 +79,7 @@ class TestNames:
         assert found.unexplained.shape is not None
         assert found.unexplained.shape.name == "roll times a sinusoid in time"
 
+    @pytest.mark.thorough
     def test_one_sided_damping_is_not_reported_as_a_step(self) -> None:
         # Four times the minimum detectable amplitude, which a step and backlash together had explained. One term of the
         # Taylor series shows what a curve of eight corners is too flexible to show.
