@@ -70,8 +70,8 @@ CASES = {
     "dry friction of the gears": Case("coulomb_friction", ("coulomb_friction@wheels",), 0.02),
     "nothing, softer": Case("", (), softer=True),
     "delay of 5 ms, softer": Case("input_delay", ("input_delay",), 5e-3, softer=True),
-    "play of 1 mrad, softer": Case("backlash", ("backlash",), 1e-3, softer=True),
-    "play of 0.5 mrad, softer": Case("backlash=0.5", ("backlash",), 0.5e-3, softer=True),
+    "backlash of 1 mrad, softer": Case("backlash", ("backlash",), 1e-3, softer=True),
+    "backlash of 0.5 mrad, softer": Case("backlash=0.5", ("backlash",), 0.5e-3, softer=True),
 }
 
 

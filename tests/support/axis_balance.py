@@ -106,7 +106,7 @@ class AxisBalance:
                 status = Status.TOO_LITTLE_EXCITATION
                 parameters[name] = ParameterEstimate(None, None, unit, status, coverage, reason)
             elif not 0.0 <= (variance := float(solution.covariance[place, place])) < np.inf:
-                reason = f"how sure {name} is cannot be told from {samples} rows: go on for longer"
+                reason = f"{samples} samples do not identify the deviation of {name}: record for longer"
                 parameters[name] = ParameterEstimate(None, None, unit, Status.TOO_FEW_SAMPLES, coverage, reason)
             else:
                 parameters[name] = ParameterEstimate(value, float(np.sqrt(variance)), unit, Status.OK, coverage)
