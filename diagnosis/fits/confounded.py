@@ -31,6 +31,7 @@ from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
 from estimators.data.time_scale import horizon, time_scale
 from estimators.fit.maximum_likelihood import Begin, fit
+from estimators.fit.problem import Problem
 from models.attach import starts
 from models.model import Model
 from models.parts import Place
@@ -51,29 +52,41 @@ model end that far apart (docs/decisions.md, "Of fits with backlash ...")."""
 def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
     """Full fits of the model of `base` with each of the candidates `names` and of those whose parts collide, except the
     `known` ones, whose fits exist."""
-    model, found = base.model, list[FullFit]()
-    for candidate in workspace.others(model):
-        if candidate.name in known:
-            continue
+    others = [each for each in workspace.others(base.model) if each.name not in known]
+    chosen = [each for each in others if each.effect.name in names and not each.effect.impacts]
+    # Compiled one after the other, before two threads need them.
+    ready = [each for each in chosen if workspace.in_time(partial(_compiled, base.model, each, workspace), each.name)]
+    found = [each for each in side_by_side(partial(_from_usual, base.model, workspace=workspace), ready) if each]
+    for candidate in others:
         if candidate.effect.impacts:
             try:
                 found += _with_impacts(base, candidate, workspace)
             except OutOfTime:
                 workspace.leave(candidate.name)
-            continue
-        if candidate.effect.name not in names:
-            continue
-        own = candidate.attached
-        values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
-        hurried = workspace.for_one
-        try:
-            one = full(_with(model, candidate, values), hurried, candidate, longer=FURTHER_FITS)
-            found.append(_other_way_round(one, hurried))
-        except OutOfTime:
-            workspace.leave(candidate.name)
-        except FAILURES:
-            continue
     return found
+
+
+def _compiled(model: Model, candidate: Candidate, workspace: Workspace) -> Problem:
+    return workspace.problem(_with(model, candidate, _usual(model, candidate)))
+
+
+def _usual(model: Model, candidate: Candidate) -> dict[str, float]:
+    """Usual amplitudes of the effect in `model`."""
+    own = candidate.attached
+    return {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
+
+
+def _from_usual(model: Model, candidate: Candidate, workspace: Workspace) -> FullFit | None:
+    """The full fit of `model` with the candidate from its usual amplitudes; None if it fails, or time runs out."""
+    hurried = workspace.for_one
+    try:
+        one = full(_with(model, candidate, _usual(model, candidate)), hurried, candidate, longer=FURTHER_FITS)
+        return _other_way_round(one, hurried)
+    except OutOfTime:
+        workspace.leave(candidate.name)
+    except FAILURES:
+        pass
+    return None
 
 
 def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:

@@ -25,6 +25,7 @@ from diagnosis.fits.input_noise import not_acting
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full
 from diagnosis.lack_of_fit.colour import Signal, same, signals
 from diagnosis.prepare.workspace import Workspace
+from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.maximum_likelihood import Begin, Fit
@@ -65,7 +66,9 @@ def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
     """The fit with one random part more than `fitted` that has most evidence."""
     candidates: list[Signal | InputNoise] = [*_distinct(tried(partial(signals, fitted.fit)) or [])]
     candidates += tried(partial(not_acting, fitted.fit)) or []
-    fits = [tried(partial(_with, fitted, each, workspace)) for each in candidates]
+    # Compiled one after the other, before two threads need them.
+    models = [tried(partial(_with, fitted.model, each, workspace)) for each in candidates]
+    fits = side_by_side(partial(_continued, fitted, workspace), [each for each in models if each is not None])
     settled = [each for each in fits if each is not None and each.fit.minimum.converged and _lasts(each)]
     return max(settled, key=lambda each: each.evidence, default=None)
 
@@ -92,12 +95,21 @@ def _lasts(fitted: FullFit) -> bool:
     )
 
 
-def _with(fitted: FullFit, part: Signal | InputNoise, workspace: Workspace) -> FullFit:
-    if isinstance(part, InputNoise):
-        model = with_input_noise(fitted.model, part)
-    else:
-        model = with_signal(fitted.model, part, workspace)
-    return full(model, workspace, fitted.candidate, _begin(fitted.fit, workspace.problem(model)), longer=FURTHER_FITS)
+def _with(model: Model, part: Signal | InputNoise, workspace: Workspace) -> Model:
+    """`model` with the random part, compiled."""
+    wider = with_input_noise(model, part) if isinstance(part, InputNoise) else with_signal(model, part, workspace)
+    workspace.problem(wider)
+    return wider
+
+
+def _continued(fitted: FullFit, workspace: Workspace, wider: Model) -> FullFit | None:
+    """The fit of the `wider` model from the end of `fitted`; None if it fails."""
+
+    def fit() -> FullFit:
+        begin = _begin(fitted.fit, workspace.problem(wider))
+        return full(wider, workspace, fitted.candidate, begin, longer=FURTHER_FITS)
+
+    return tried(fit)
 
 
 def with_signal(model: Model, signal: Signal, workspace: Workspace) -> Model:

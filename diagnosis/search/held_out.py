@@ -27,6 +27,7 @@ from diagnosis.prediction import ahead
 from diagnosis.prepare.pieces import Pieces, hidden, inside
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.whitened import whitening
+from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import FAILURES
 from estimators.contract import Status
 from estimators.data.segments import segments
@@ -185,8 +186,7 @@ def judge(
     known: list[float] = []
     predicted: list[Array] = []
     impacts = False
-    for part in parts:
-        found = fits(part)
+    for part, found in zip(parts, side_by_side(fits, parts), strict=True):
         if found is None:
             continue
         without, with_it = found
