@@ -28,7 +28,7 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import Begin, Fit
+from estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit
 from estimators.fit.problem import Problem
 from models.model import Model
 from models.parts import NarrowBand
@@ -103,11 +103,12 @@ def _with(model: Model, part: Signal | InputNoise, workspace: Workspace) -> Mode
 
 
 def _continued(fitted: FullFit, workspace: Workspace, wider: Model) -> FullFit | None:
-    """The fit of the `wider` model from the end of `fitted`; None if it fails."""
+    """The fit of the `wider` model from the end of `fitted`, exact, since a torque and a sensor's error about the same
+    frequency may be almost equally likely; None if it fails."""
 
     def fit() -> FullFit:
         begin = _begin(fitted.fit, workspace.problem(wider))
-        return full(wider, workspace, fitted.candidate, begin, longer=FURTHER_FITS)
+        return full(wider, workspace, fitted.candidate, begin, longer=FURTHER_FITS, enough=ENOUGH)
 
     return tried(fit)
 
