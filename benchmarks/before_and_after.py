@@ -33,16 +33,12 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
 
-RATE = 200
-"""Hz."""
-FREE = 8.0
-"""s from the start until the vehicle is off its support and excited."""
-MINUTE = 60.0
 RECORDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "viscous friction": ("sweep", ("viscous_friction", "disturbance=0")),
     "two effects, shaken": ("multisine", ("coulomb_friction", "cubic_stiffness", "disturbance=5,0.3")),
 }
 """Experiment, and what is hidden."""
+SEED = 9
 COUNTED = {
     "fits": ("estimators", "fit"),
     "attach": ("models", "attach"),
@@ -73,15 +69,11 @@ def main() -> None:
 
 
 def make(path: Path, experiment: str, hidden: Sequence[str]) -> None:
-    """A recording of a minute of free motion."""
-    from service.virtual.run import record
+    """Write a recording of a minute of free motion."""
+    from benchmarks.diagnosing import minute
     from telemetry.storage import save
-    from vehicles.file import load
 
-    vehicle = load("monocab")
-    slower = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"rate": RATE})})
-    whole = record(slower, experiment, hide=list(hidden), seed=9, duration=MINUTE)
-    save(whole.between(FREE, FREE + MINUTE), path)
+    save(minute(experiment, hidden, SEED), path)
 
 
 def taken_in_turn(trees: Mapping[str, Path], recording: Path, times: int) -> dict[str, dict[str, Any]]:

@@ -14,7 +14,7 @@ diagnosis within 10 s.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnosis.diagnose import diagnose
@@ -42,10 +42,10 @@ FREE = 8.0
 """s from the start until the vehicle is off its support and excited."""
 
 
-def minute() -> Recording:
+def minute(experiment: str = "sweep", hide: Sequence[str] = ("viscous_friction",), seed: int = 1) -> Recording:
     """A recording of 60 s of free motion."""
     slower = VEHICLE.model_copy(update={"control": VEHICLE.control.model_copy(update={"rate": RATE})})
-    return record(slower, "sweep", hide=["viscous_friction"], seed=1, duration=60.0).between(FREE, FREE + 60.0)
+    return record(slower, experiment, hide=list(hide), seed=seed, duration=60.0).between(FREE, FREE + 60.0)
 
 
 def main() -> None:

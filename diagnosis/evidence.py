@@ -19,6 +19,8 @@ import math
 
 from scipy.stats import chi2
 
+from estimators.contract import ParameterEstimate
+
 LEVEL = 0.01
 """Probability of naming an effect when nothing is missing, and of calling a parameter needed that is not."""
 SIGNIFICANT = 2.0
@@ -44,6 +46,13 @@ def is_supported(log_ratio: float, count: int, t_ratio: float, tries: int = 1) -
     """Whether an effect is needed whose amplitude is `t_ratio` standard deviations from zero. The other arguments are
     those of `beyond_chance`."""
     return t_ratio > SIGNIFICANT and beyond_chance(log_ratio, count, tries)
+
+
+def is_significant(estimate: ParameterEstimate) -> bool:
+    """Whether `estimate` is further from zero than SIGNIFICANT of its stated standard deviations; False if the record
+    does not determine it."""
+    value, std = estimate.value, estimate.std
+    return value is not None and bool(std) and abs(value) > SIGNIFICANT * (std or 0.0)
 
 
 def likelier(log_odds: float, tries: float = 1.0) -> bool:

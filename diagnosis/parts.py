@@ -17,13 +17,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
-from diagnosis.evidence import SIGNIFICANT
+from diagnosis.evidence import is_significant
 from diagnosis.explain import together
 from diagnosis.fits.speed_loop_choice import lag_error, over_noise, small, speed_loop
 from diagnosis.prediction.closed_loop_error import Loop
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.search.one_more import with_estimates, with_explanation
 from diagnosis.trial import FAILURES
+from estimators.contract import ParameterEstimate
 from estimators.data.segments import DataError
 from estimators.stopwatch import stopwatch
 from models.effect import Effect
@@ -155,7 +156,7 @@ def quiet(found: Diagnosis) -> Diagnosis:
 def _further(
     found: Diagnosis, recordings: Sequence[Recording], candidates: Sequence[Effect], budget: float | None
 ) -> Diagnosis:
-    """`found` and one more effect, if there is one that neither chance explains nor the parameters that are held.
+    """`found` and one more effect, unless chance or the uncertainty of the held parameters explains it.
 
     In a vehicle a further effect must raise the log-likelihood by a share of what the first did, since no formula is
     exact. The formula of a speed loop is exact: with delays in the model, whose log-likelihood ratios were 5000 to
@@ -166,8 +167,8 @@ def _further(
     there = {each.effect.name for each in model.effects}
     others = [each for each in candidates if each.name not in there]
     more = diagnose(model, recordings, candidates=others, most=1, not_required=model.values, budget=budget)
-    # With all uncertainties, a gain of 0.0096 ± 0.023 % is none, although the likelihood rose by 13 nats.
-    if not any(_is_significant(each) for each in more.findings):
+    # The stated deviation of an amplitude contains the uncertainty of the held parameters, its likelihood does not.
+    if not any(is_significant(size) for each in more.findings for size in _amplitudes(each)):
         return found
     steps = (*found.steps, more.steps[-1])
     findings = tuple(with_estimates(each, steps[-1]) for each in (*found.findings, *more.findings))
@@ -186,10 +187,9 @@ def _further(
     )
 
 
-def _is_significant(finding: Finding) -> bool:
-    """Whether a parameter of `finding` differs from zero by more than the stated deviation explains."""
-    sizes = finding.parameters.values()
-    return any(each.value is not None and each.std and abs(each.value) > SIGNIFICANT * each.std for each in sizes)
+def _amplitudes(finding: Finding) -> list[ParameterEstimate]:
+    names = {f"{finding.effect}.{name}" for name in finding.definition.amplitudes}
+    return [estimate for name, estimate in finding.parameters.items() if name in names]
 
 
 def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:

@@ -31,7 +31,6 @@ from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
 from estimators.data.time_scale import horizon, time_scale
 from estimators.fit.maximum_likelihood import Begin, fit
-from estimators.fit.problem import Problem
 from models.attach import starts
 from models.model import Model
 from models.parts import Place
@@ -55,8 +54,9 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
     others = [each for each in workspace.others(base.model) if each.name not in known]
     chosen = [each for each in others if each.effect.name in names and not each.effect.impacts]
     # Compiled one after the other, before two threads need them.
-    ready = [each for each in chosen if workspace.in_time(partial(_compiled, base.model, each, workspace), each.name)]
-    found = [each for each in side_by_side(partial(_from_usual, base.model, workspace=workspace), ready) if each]
+    ready = [workspace.in_time(partial(_from_usual, base.model, each, workspace), each.name) for each in chosen]
+    fitted = side_by_side(partial(_fitted, workspace), [each for each in ready if each is not None])
+    found = [each for each in fitted if each is not None]
     for candidate in others:
         if candidate.effect.impacts:
             try:
@@ -66,27 +66,23 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
     return found
 
 
-def _compiled(model: Model, candidate: Candidate, workspace: Workspace) -> Problem:
-    return workspace.problem(_with(model, candidate, _usual(model, candidate)))
-
-
-def _usual(model: Model, candidate: Candidate) -> dict[str, float]:
-    """Usual amplitudes of the effect in `model`."""
+def _from_usual(model: Model, candidate: Candidate, workspace: Workspace) -> tuple[Candidate, Model]:
+    """`model` with the candidate at its usual amplitudes, compiled."""
     own = candidate.attached
-    return {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
+    values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
+    wider = _with(model, candidate, values)
+    workspace.problem(wider)
+    return candidate, wider
 
 
-def _from_usual(model: Model, candidate: Candidate, workspace: Workspace) -> FullFit | None:
-    """The full fit of `model` with the candidate from its usual amplitudes; None if it fails, or time runs out."""
-    hurried = workspace.for_one
-    try:
-        one = full(_with(model, candidate, _usual(model, candidate)), hurried, candidate, longer=FURTHER_FITS)
-        return _other_way_round(one, hurried)
-    except OutOfTime:
-        workspace.leave(candidate.name)
-    except FAILURES:
-        pass
-    return None
+def _fitted(workspace: Workspace, start: tuple[Candidate, Model]) -> FullFit | None:
+    """The full fit from `start`; None if it fails, or time runs out."""
+    (candidate, wider), hurried = start, workspace.for_one
+
+    def one() -> FullFit:
+        return _other_way_round(full(wider, hurried, candidate, longer=FURTHER_FITS), hurried)
+
+    return workspace.in_time(one, candidate.name)
 
 
 def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:

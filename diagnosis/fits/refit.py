@@ -20,8 +20,7 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Score
 from diagnosis.score.whitened import whitening
-from diagnosis.trial import tried
-from estimators.budget import UNLIMITED, OutOfTime
+from estimators.budget import UNLIMITED
 from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit, fit
 from estimators.fit.result import inverse
@@ -46,7 +45,7 @@ FURTHER_FITS = 2
 """Times that a fit which does not converge is continued."""
 COMPARED = 0.02
 """Fall of the cost below which a fit that is only compared with others makes no further step: no parameter would move
-by more than a fifth of its standard deviation, and no decision is about a fiftieth of a nat."""
+by more than a fifth of its standard deviation, and log-likelihood ratios are compared with several."""
 CREEPING = 1.0
 """Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 
@@ -212,10 +211,7 @@ def exactly(fitted: FullFit, workspace: Workspace) -> FullFit:
     def again() -> Fit:
         return fit(workspace.problem(fitted.model), near=fitted.fit, begin=fitted.fit.end)
 
-    try:
-        ended = tried(again)
-    except OutOfTime:
-        return fitted
+    ended = workspace.in_time(again)
     if ended is None or not ended.minimum.converged:
         return fitted
     return _full(fitted.model, ended, workspace, fitted.candidate)

@@ -86,13 +86,14 @@ class Workspace:
         """The same for one fit of many."""
         return self.within(EACH)
 
-    def in_time(self, work: Callable[[], Answer | None], what: str, failed: bool = False) -> Answer | None:
-        """The result of `work`; None if it fails, or if time runs out, and then `what` is left untried. If it is the
-        fit of a candidate (`failed`), its failure is recorded, too."""
+    def in_time(self, work: Callable[[], Answer | None], what: str = "", failed: bool = False) -> Answer | None:
+        """The result of `work`; None if it fails, or if time runs out, and then `what` is left untried, unless it is
+        empty. If it is the fit of a candidate (`failed`), its failure is recorded, too."""
         try:
             return tried(work, what, self.failed if failed else None)
         except OutOfTime:
-            self.leave(what)
+            if what:
+                self.leave(what)
             return None
 
     def leave(self, what: str) -> None:

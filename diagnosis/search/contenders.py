@@ -35,7 +35,6 @@ from diagnosis.score.whitened import Whitened
 from diagnosis.search.explanation import Progress, no_progress
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
-from estimators.budget import OutOfTime
 from estimators.fit.disturbance import disturbances, is_of_disturbance
 from estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
 from estimators.fit.problem import Problem
@@ -154,10 +153,7 @@ def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
     begin = Begin({**end.values, **{name: other.values[name] for name in its if name in other.values}}, other.noise)
     if len(end.noise) != len(other.noise):
         return fitted
-    try:
-        found = tried(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
-    except OutOfTime:
-        return fitted
+    found = workspace.in_time(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
     return found if found is not None and found.fit.minimum.converged else fitted
 
 
@@ -171,7 +167,7 @@ def undisturbed_fit(base: FullFit, workspace: Workspace) -> FullFit | None:
     there is no such fit.
 
     The standard deviation of their RMS cannot decide that: if the motor constant is known to 40 % only, so is every
-    torque.
+    torque. The fit only serves to look for effects, so it is not exact.
     """
     number = len(disturbances(base.fit))
     if number == 0:

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence import SIGNIFICANT
+from diagnosis.evidence import SIGNIFICANT, is_significant
 from diagnosis.fits.refit import FullFit, off_prior, remembered
 from diagnosis.gates import HeldOut
 from diagnosis.prediction import ahead
@@ -98,7 +98,7 @@ def _fits(best: FullFit, base: FullFit, further: Sequence[AttachedEffect], part:
     with_it = with_possible_noise(remembered(best.model, part.seen, begin=best.fit.end).fit)
     estimates = result(with_it, 0.0).parameters
     sizes = [estimates[name] for each in further for name in each.amplitudes]
-    if not any(each.value is not None and each.std and abs(each.value) > SIGNIFICANT * each.std for each in sizes):
+    if not any(map(is_significant, sizes)):
         return None
     # A single event outside the part cannot be predicted from the part.
     times = [name for each in further for name in each.of_role(Role.INSTANT, Role.DURATION)]

@@ -36,7 +36,6 @@ from diagnosis.search.contenders import WORTH_A_FIT, at_one_noise, contenders
 from diagnosis.search.explanation import Search
 from diagnosis.search.held_out import held_out
 from diagnosis.trial import tried
-from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.fit.disturbance import is_of_disturbance
 from estimators.fit.innovations import WIDEST
@@ -193,10 +192,7 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
     its = is_of_disturbance(task.model)
     values = {name: value for name, value in end.values.items() if name not in its}
     begin = Begin(values, noise_of(task, shaken=-WIDEST, white=-WIDEST))
-    try:
-        again = tried(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
-    except OutOfTime:
-        return fitted
+    again = workspace.in_time(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
     if again is None or not again.fit.minimum.converged:
         return fitted
     return again if again.log_likelihood > fitted.log_likelihood + CREEPING else fitted

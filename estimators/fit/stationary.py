@@ -32,15 +32,18 @@ def stationary_all(transition: Array, driven: Array) -> Array:
     A state that decays slowly or not at all causes no error if nothing drives it, unlike in a linear system of
     equations for all of X at once. Source: Smith, SIAM J. Applied Mathematics 16 (1968) 198.
     """
-    total, power = driven, transition
-    settled = np.zeros(len(driven), dtype=bool)
+    found, total, power = np.full(driven.shape, np.nan), driven, transition
+    left = np.ones(len(driven), dtype=bool)
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(DOUBLINGS):
             more = power @ total @ power.T
             total = total + more
             largest = np.abs(total).max(axis=(1, 2), initial=0.0)
-            settled |= np.abs(more).max(axis=(1, 2), initial=0.0) <= SETTLED * largest
-            if (settled | ~np.isfinite(largest)).all():
+            # Kept at once: a state that grows, but that nothing drives, makes later sums overflow.
+            settled = left & (np.abs(more).max(axis=(1, 2), initial=0.0) <= SETTLED * largest)
+            found[settled] = 0.5 * (total + np.swapaxes(total, 1, 2))[settled]
+            left &= ~settled & np.isfinite(largest)
+            if not left.any():
                 break
             power = power @ power
-    return np.where(settled[:, None, None], 0.5 * (total + np.swapaxes(total, 1, 2)), np.nan)
+    return found

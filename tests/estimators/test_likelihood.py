@@ -12,6 +12,7 @@ from estimators.fit.gauss_newton import common_information
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.likelihood import Likelihood, _at_least
 from estimators.fit.problem import Problem, problem
+from estimators.fit.stationary import stationary_all
 from models import library
 from models.compiler.kernel import ELSEWHERE
 from service.virtual.run import record
@@ -190,3 +191,12 @@ def test_constrained_covariance_is_the_likeliest_of_those_allowed() -> None:
         allowed = _at_least(squares + 0.1 * other @ other.T, least)
         assert _cost(0.99 * found + 0.01 * allowed, squares) >= _cost(found, squares) - 1e-9
     assert _cost(found, squares) > _cost(squares, squares)
+
+
+def test_stationary_covariance_is_kept_when_that_of_another_noise_has_not_settled() -> None:
+    """The first settles in a few doublings. For the last, a state that doubles with each sample grows beyond all
+    bounds, although nothing drives it in the first."""
+    transition = np.diag([2.0, 0.5, 0.9999])
+    fast, growing = stationary_all(transition, np.array([np.diag([0.0, 1.0, 0.0]), np.diag([1.0, 0.0, 1.0])]))
+    assert np.allclose(fast, np.diag([0.0, 1.0 / (1.0 - 0.25), 0.0]))
+    assert not np.isfinite(growing).all()
