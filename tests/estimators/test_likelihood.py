@@ -194,9 +194,8 @@ def test_constrained_covariance_is_the_likeliest_of_those_allowed() -> None:
 
 
 def test_stationary_covariance_is_kept_when_that_of_another_noise_has_not_settled() -> None:
-    """The first settles in a few doublings. For the last, a state that doubles with each sample grows beyond all
-    bounds, although nothing drives it in the first."""
+    """The first settles in a few doublings, the other needs a hundred thousand samples. By then, the powers of a state
+    that doubles with each sample overflow, although nothing drives it."""
     transition = np.diag([2.0, 0.5, 0.9999])
-    fast, growing = stationary_all(transition, np.array([np.diag([0.0, 1.0, 0.0]), np.diag([1.0, 0.0, 1.0])]))
+    fast, _ = stationary_all(transition, np.array([np.diag([0.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])]))
     assert np.allclose(fast, np.diag([0.0, 1.0 / (1.0 - 0.25), 0.0]))
-    assert not np.isfinite(growing).all()
