@@ -249,6 +249,7 @@ def _round_line(decided: Round) -> Line:
         "p_value": decided.p_value,
         "named": decided.named,
         "tied_with": list(decided.tied_with),
+        "covered": decided.covered,
         "tried": [_tried_line(each) for each in decided.tried],
     }
 

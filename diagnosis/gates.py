@@ -67,10 +67,10 @@ class Tried:
     `log_likelihood`: rise over the model without it (nats), with `parameters` more, fitted to `rows` samples; `usual`:
     these two with its usual formula, if a finer one is likelier. `converged`: whether its fit did; `inside_bounds`: no
     amplitude ends at a bound; `t_ratio`: the largest of its amplitudes'. `p_value` of it or of an effect confusable
-    with it, corrected for all effects. `among`: number of change points from which its own was chosen. `held_out`: the
-    result on data that its fit has not used, None if there is none. `in_usual_shape`: the log-likelihood with its shape
-    held at the usual one, None if it was not needed. `refused`: why it is not named; empty if it passed all checks that
-    were made.
+    with it, corrected for all effects. `among`: number of change points from which its own was chosen. `left`: rise of
+    the log-likelihood that the formulas of the effects found before may leave. `held_out`: the result on data that its
+    fit has not used, None if there is none. `in_usual_shape`: the log-likelihood with its shape held at the usual one,
+    None if it was not needed. `refused`: why it is not named; empty if it passed all checks that were made.
     """
 
     name: str
@@ -84,6 +84,7 @@ class Tried:
     usual: tuple[float, int] | None = None
     p_value: float = 1.0
     among: int = 1
+    left: float = 0.0
     held_out: HeldOut | None = None
     in_usual_shape: float | None = None
     refused: str = ""
@@ -127,6 +128,13 @@ def is_beyond_chance(tried: Tried, tries: int) -> str:
     return "" if chance < LEVEL else f"chance explains as much in {100.0 * min(1.0, chance):.2g} % of records"
 
 
+def is_beyond_formula_errors(tried: Tried) -> str:
+    """No formula is exact: an effect may describe no more than what the formulas of those found before leave."""
+    if tried.log_likelihood >= tried.left:
+        return ""
+    return f"formulas found before may leave as much: a log-likelihood ratio of {tried.left:.3g}"
+
+
 GATES: tuple[Gate, ...] = (converges, is_inside_its_bounds, is_significant, is_beyond_chance)
 
 
@@ -138,7 +146,7 @@ def gated(tried: Tried, tries: int) -> Tried:
 @dataclass(frozen=True, slots=True)
 class Round:
     """A search for one more effect `beside` those of a model, as one of `tries`: all that were fitted, which of them is
-    `named`, empty for none, and what it is `tied_with`."""
+    `named`, empty for none, and what it is `tied_with`. `covered`: one that would be named if formulas were exact."""
 
     beside: tuple[str, ...]
     tries: int
@@ -146,6 +154,7 @@ class Round:
     p_value: float
     named: str = ""
     tied_with: tuple[str, ...] = ()
+    covered: str = ""
 
     @property
     def finding(self) -> Tried | None:
@@ -181,6 +190,9 @@ def decide(
         if not best.refused and not stands:
             why = "does not hold on held-out data" if best.held_out else "cannot be checked on held-out data"
             best = replace(best, refused=why)
+        if not best.refused and (why := is_beyond_formula_errors(best)):
+            known[best.name] = replace(best, refused=why)
+            return replace(undecided, tried=tuple(known.values()), covered=best.name)
         known[best.name] = best
         if not best.refused:
             now = replace(undecided, tried=tuple(known.values()), named=best.name)

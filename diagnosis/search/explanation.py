@@ -43,12 +43,15 @@ class Explanation:
 class Search:
     """What the steps of one search share. `confounded`: effects that the score test does not see, because parameters of
     the model imitate them (diagnosis.fits.confounded); `most`: maximum number of effects that are added; `alone`: the
-    score test of the model without any of them."""
+    score test of the model without any of them. `found`: effects whose formulas may leave what a further one explains;
+    `of_impacts`: what those effects of the original model whose parts collide may leave, nats."""
 
     workspace: Workspace
     confounded: Collection[str] = ()
     most: int = 3
     alone: ScoreTest = NOTHING_SCORED
+    found: tuple[Finding, ...] = ()
+    of_impacts: float = 0.0
     progress: Progress = no_progress
 
     @property

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 from diagnosis.findings import Finding
 from diagnosis.gates import confusable
+from diagnosis.prepare.candidates import Candidate
 from diagnosis.score.score_test import ScoreTest
 
 LEAST = 0.2
@@ -27,13 +28,12 @@ formula error of 0.1 it requires a fiftieth of the log-likelihood ratio so far: 
 in addition to backlash was not named. Chosen on these cases; what a real formula leaves has not been estimated."""
 
 
-def required_log_ratio(further: Finding, before: Sequence[Finding], alone: ScoreTest, of_impacts: float = 0.0) -> float:
-    """Log-likelihood ratio that a `further` effect needs, given the effects found `before`, and the effects of the
-    original model whose parts collide, which leave `of_impacts`. `alone`: the score test of that model."""
-    left = (
+def left_for(further: Candidate, before: Sequence[Finding], alone: ScoreTest) -> float:
+    """Log-likelihood ratio that the formulas of the effects found `before` may leave for a `further` effect. `alone`:
+    the score test of the model without any of them."""
+    return sum(
         each.definition.formula_error * _similarity(further, each, alone) * each.log_likelihood_gain for each in before
     )
-    return of_impacts + sum(left)
 
 
 def left_by_formulas(findings: Sequence[Finding]) -> float:
@@ -41,11 +41,11 @@ def left_by_formulas(findings: Sequence[Finding]) -> float:
     return sum(each.definition.formula_error * each.log_likelihood_gain for each in findings)
 
 
-def _similarity(one: Finding, other: Finding, alone: ScoreTest) -> float:
+def _similarity(one: Candidate, other: Finding, alone: ScoreTest) -> float:
     """r^2 of two effects; 1 if one has impacts, so that its derivative at zero says nothing of it, or if the score test
     lacks one."""
-    effects = one.definition, other.definition
+    effects = one.effect, other.definition
     if confusable(*effects) or any(each.impacts for each in effects):
         return 1.0
-    known = {one.effect, other.effect} <= alone.bases.keys()
-    return max(LEAST, alone.similarity(one.effect, other.effect) ** 2) if known else 1.0
+    known = {one.name, other.effect} <= alone.bases.keys()
+    return max(LEAST, alone.similarity(one.name, other.effect) ** 2) if known else 1.0

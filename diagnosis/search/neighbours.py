@@ -32,8 +32,8 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import flat_at_zero, look
 from diagnosis.search.explanation import Explanation, Search
-from diagnosis.search.further import left_by_formulas, required_log_ratio
-from diagnosis.search.one_more import Named, find, may_be_significant, named_alone
+from diagnosis.search.further import left_by_formulas
+from diagnosis.search.one_more import Covered, Named, find, may_be_significant, named_alone
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
 from models.model import Model
@@ -69,8 +69,9 @@ def swap(now: Explanation, how: Search) -> Explanation:
         oldest = found.pop(0)
         how.progress(f"looking for {oldest.effect} again, with the others in the model", turn / turns)
         without = remembered(whole.model.remove(oldest.effect), workspace)
-        new = _again(Named(oldest, replace(whole, candidate=_candidate(oldest, workspace))), without, how)
-        if new is not None and new.finding.log_likelihood_gain >= required_log_ratio(new.finding, found, how.alone):
+        beside = replace(how, found=tuple(found))
+        new = _again(Named(oldest, replace(whole, candidate=_candidate(oldest, workspace))), without, beside)
+        if isinstance(new, Named):
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
             whole = new.fit
@@ -218,10 +219,11 @@ def _candidate(finding: Finding, workspace: Workspace) -> Candidate:
 
 def _beside(base: FullFit, how: Search) -> Named | None:
     scored = look(base, how.workspace)
-    return find(base, scored, how.quiet) if may_be_significant(scored) else None
+    found = find(base, scored, how.quiet) if may_be_significant(scored) else None
+    return found if isinstance(found, Named) else None
 
 
-def _again(oldest: Named, without: FullFit, how: Search) -> Named | None:
+def _again(oldest: Named, without: FullFit, how: Search) -> Named | Covered | None:
     scored = look(without, how.workspace)
     if not may_be_significant(scored):
         return None

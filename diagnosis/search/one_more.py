@@ -34,6 +34,7 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import WORTH_A_FIT, at_one_noise, contenders
 from diagnosis.search.explanation import Search
+from diagnosis.search.further import left_for
 from diagnosis.search.held_out import held_out
 from diagnosis.trial import tried
 from estimators.contract import ParameterEstimate, Status
@@ -55,6 +56,14 @@ class Named:
     fit: FullFit
 
 
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """An effect that explains no more than the formulas of those found before may leave: too little for a name, but
+    the deviation that the `fit` with it covers is known."""
+
+    fit: FullFit
+
+
 def may_be_significant(scored: ScoreTest) -> bool:
     """Whether any effect may explain more than chance does.
 
@@ -64,7 +73,7 @@ def may_be_significant(scored: ScoreTest) -> bool:
     return any(score.p_single < WORTH_A_FIT for score in scored.scores)
 
 
-def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = None) -> Named | None:
+def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = None) -> Named | Covered | None:
     """The effect that explains most, in the model; None if none passes the gates and the check on held-out data.
 
     `before`: an effect whose fit is known, and that passed the check on held-out data.
@@ -75,7 +84,7 @@ def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = N
     # Effects that the score test does not see take longest, so they come last.
     hidden = fits_of_confounded(base, workspace.within(LATE), how.confounded, [each.name for each in known])
     fits = at_one_noise([*fitted_first, *hidden], base, workspace)
-    fitted, undecided = _undecided(base, fits, scored, {each.name for each in hidden}, workspace)
+    fitted, undecided = _undecided(base, fits, scored, {each.name for each in hidden}, how)
 
     def on_held_out(best: Tried) -> Tried:
         progress(f"checking {best.name} on held-out data", 0.95)
@@ -91,6 +100,8 @@ def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = N
 
     decided = decide(undecided, on_held_out, in_usual_shape)
     workspace.rounds.append(decided)
+    if decided.covered:
+        return Covered(fitted[decided.covered])
     if decided.finding is None:
         return None
     best = fitted[decided.named]
@@ -98,11 +109,11 @@ def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = N
 
 
 def _undecided(
-    base: FullFit, fits: Sequence[FullFit], scored: ScoreTest, unscored: Collection[str], workspace: Workspace
+    base: FullFit, fits: Sequence[FullFit], scored: ScoreTest, unscored: Collection[str], how: Search
 ) -> tuple[dict[str, FullFit], Round]:
     """All of `fits` in the numbers that decide about them, with the finer formula if that is likelier, and the fits
     that passed the gates, by name. `unscored`: effects that the score test does not see."""
-    tries = max(1, len(scored.scores))
+    workspace, tries = how.workspace, max(1, len(scored.scores))
     rows = {each.name: row for each in fits if (row := _gated(each, base, tries, workspace))}
     likely = sorted((each for each in fits if each.name in rows and not rows[each.name].refused), key=_by_evidence)
     best = {each.name: each for each in finest(likely, workspace)}
@@ -113,7 +124,9 @@ def _undecided(
         row = _in_numbers(fit, base)
         if fit is not each:
             row = replace(row, usual=log_ratio(each, base))
-        rows[each.name] = replace(row, p_value=_p_value(fit, base, scored, each.name in unscored, tries))
+        assert each.candidate is not None
+        left = how.of_impacts + left_for(each.candidate, how.found, how.alone)
+        rows[each.name] = replace(row, p_value=_p_value(fit, base, scored, each.name in unscored, tries), left=left)
     there = tuple(each.name for each in base.model.effects)
     ordered = [*(rows[name] for name in names), *(row for name, row in rows.items() if name not in best)]
     p_value = min((row.p_value for row in ordered if not row.refused), default=1.0)

@@ -23,9 +23,8 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
 from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
-from diagnosis.search.further import required_log_ratio
 from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
-from diagnosis.search.one_more import find, may_be_significant, sizes, with_estimates
+from diagnosis.search.one_more import Named, find, may_be_significant, sizes, with_estimates
 from diagnosis.trial import FAILURES, tried
 
 HALF = 0.5
@@ -102,12 +101,11 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
             score_tests.append(scored or NOTHING_SCORED)
         if scored is None or len(now.findings) >= most:
             break
-        further = workspace.in_time(partial(_one_more, now, scored, part), what)
-        if further is not None:
-            *before, new = further.findings
-            if new.log_likelihood_gain < required_log_ratio(new, before, how.alone, of_impacts):
-                last = further.fit  # too little for a name, but known
-                break
+        one = replace(part, found=now.findings, of_impacts=of_impacts)
+        further = workspace.in_time(partial(_one_more, now, scored, one), what)
+        if further is not None and further.names == now.names:
+            last = further.fit  # too little for a name, but known
+            break
         if further is None and not now.findings and most > 1:
             further = workspace.in_time(partial(add_two, now, scored, part), "two effects at once")
         if further is None:
@@ -126,7 +124,8 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
 
 
 def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
-    """`now` with the effect that explains most of its lack of fit; None if none passes."""
+    """`now` with the effect that explains most of its lack of fit, with its fit only if it is too little for a name;
+    None if none passes."""
     workspace, seen = how.workspace, may_be_significant(scored)
     # In a fit of the model alone the disturbance may have grown to imitate what is missing, so that nothing shows.
     if not seen and (now.findings or not (how.confounded or undisturbed_fit(now.fit, workspace) is not None)):
@@ -135,7 +134,9 @@ def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation |
     # it.
     more = flat_at_zero(workspace) if seen and not now.findings else []
     found = find(now.fit, scored, replace(how, confounded={*how.confounded, *more}))
-    return None if found is None else Explanation((*now.findings, found.finding), found.fit)
+    if found is None:
+        return None
+    return Explanation((*now.findings, found.finding) if isinstance(found, Named) else now.findings, found.fit)
 
 
 def _held(base: FullFit, before: Explanation, how: Search) -> tuple[FullFit, Explanation]:

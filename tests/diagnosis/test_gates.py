@@ -85,6 +85,13 @@ def test_number_of_effects_checked_on_held_out_data_is_limited() -> None:
     assert not decided(*tried, held_out=refused).named  # type: ignore[arg-type]
 
 
+def test_effect_that_formulas_before_may_leave_is_not_named_but_covered() -> None:
+    found = decided(fitted("viscous_friction", 90.0, left=100.0), fitted("cubic_stiffness", 50.0))
+    assert (found.named, found.covered) == ("", "viscous_friction")
+    assert found.tried[0].refused == "formulas found before may leave as much: a log-likelihood ratio of 100"
+    assert decided(fitted("viscous_friction", 101.0, left=100.0)).named == "viscous_friction"
+
+
 def test_table_reproduces_the_decision_and_names_missing_held_out_data() -> None:
     found = decided(fitted("coulomb_friction", 300.0), fitted("stribeck_friction", 310.0, 3), fitted("end_stop", 2.0))
     line = {
