@@ -390,7 +390,7 @@ def recorded(path: Path, words: Sequence[str], every: int, processes: int) -> No
     path.parent.mkdir(parents=True, exist_ok=True)
     # An executor with max_tasks_per_child may wait for ever for workers that have ended (python/cpython 115634).
     with get_context("spawn").Pool(processes, maxtasksperchild=20) as pool, part.open("a", encoding="utf-8") as file:
-        for number, line in enumerate(pool.imap(_line_of, left), start=1):
+        for number, line in enumerate(pool.imap_unordered(_line_of, left), start=1):
             done[line["case"]] = line
             file.write(json.dumps(line) + "\n")
             file.flush()

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import golden
 import numpy as np
 import pytest
 import small_vehicle
@@ -21,7 +22,6 @@ from estimators.speed_loop_steps import SpeedLoopSteps
 from models import library
 from models.model import Model
 from service.cli.pages.compare import closed_loop_lines
-from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
@@ -37,7 +37,7 @@ DAMPED = TRUTH.add("viscous_friction").change({"viscous_friction.coefficient": 4
 
 @cache
 def multisine(*hide: str) -> Recording:
-    return record("monocab", "multisine", hide=hide, seed=1, duration=10.0)
+    return golden.recorded("monocab", "multisine", hide=hide, seed=1, duration=10.0)
 
 
 LEANING = TRUTH.add("static_torque").change({"static_torque.torque": 100.0})

@@ -11,6 +11,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import golden
 import pytest
 from thorough import of_many
 from typer.testing import CliRunner
@@ -53,7 +54,7 @@ def upright(*arguments: Any) -> Any:
 def recorded(experiment: str, folder: Path, *hide: str, seed: int = SEED, duration: float = EXCITED) -> Path:
     """A robot in a draught, like one that a user starts."""
     path = folder / f"{experiment}.arrow"
-    save(record("twsbr", experiment, hide=["disturbance", *hide], seed=seed, duration=duration), path)
+    save(golden.recorded("twsbr", experiment, hide=["disturbance", *hide], seed=seed, duration=duration), path)
     return path
 
 

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import golden
 import numpy as np
 import pytest
 from thorough import of_many
@@ -31,7 +32,6 @@ from models.model import Model
 from service.cli import app
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import live_diagnosis
-from service.virtual.run import record
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
@@ -56,7 +56,7 @@ HIDDEN = {
 
 @cache
 def run(hide: str = "", seed: int = SEED, experiment: str = "square", air: str = "disturbance") -> Recording:
-    return record("twsbr", experiment, hide=[each for each in (hide, air) if each], seed=seed)
+    return golden.recorded("twsbr", experiment, hide=[each for each in (hide, air) if each], seed=seed)
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import golden
 import numpy as np
 import pytest
 
@@ -15,14 +16,13 @@ from estimators.fit.problem import Problem, problem
 from estimators.fit.stationary import stationary_all
 from models import library
 from models.compiler.kernel import ELSEWHERE
-from service.virtual.run import record
 from telemetry.recording import Recording
 
 
 @pytest.fixture(scope="module")
 def task() -> Problem:
     """Segments of an unstable vehicle, separated by unknown readings and by a gap."""
-    recording = record("monocab", "multisine", seed=5, duration=15.0)
+    recording = golden.recorded("monocab", "multisine", seed=5, duration=15.0)
     rate = recording["roll_rate"].copy()
     rate[2000:2010] = np.nan
     holes = replace(recording, values={**recording.values, "roll_rate": rate})

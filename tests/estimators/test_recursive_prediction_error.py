@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 
+import golden
 import numpy as np
 import pytest
 import small_vehicle
@@ -26,7 +27,6 @@ from models import library
 from models.model import Model
 from models.parts import Hold
 from service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
-from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.samples import Frame
@@ -63,7 +63,7 @@ def after(estimator: RecursivePredictionError, frames: Iterable[Frame]) -> Estim
 @cache
 def multisine() -> Recording:
     """15 s of a multisine, from rest to rest."""
-    return record("monocab", "multisine", seed=11, duration=15.0)
+    return golden.recorded("monocab", "multisine", seed=11, duration=15.0)
 
 
 @cache

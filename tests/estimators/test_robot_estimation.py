@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import golden
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -23,7 +24,6 @@ from estimators.methods.prediction_error import predicted_percent, prediction_er
 from models.expressions import number
 from models.library import get
 from service.cli import app
-from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 from telemetry.storage import save
@@ -39,7 +39,7 @@ SHORT = 8.0
 
 @cache
 def run(name: str, seed: int = 1, seconds: float | None = None) -> Recording:
-    return record("twsbr", name, seed=seed, duration=seconds)
+    return golden.recorded("twsbr", name, seed=seed, duration=seconds)
 
 
 @cache

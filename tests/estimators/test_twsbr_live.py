@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import golden
 import numpy as np
 import pytest
 
@@ -15,7 +16,6 @@ from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import replay
-from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 from telemetry.samples import Frame
@@ -36,7 +36,7 @@ SEEDS = [1, 2, 3, 4]
 
 @cache
 def run(name: str = "square", seed: int = 1) -> Recording:
-    return record("twsbr", name, seed=seed)
+    return golden.recorded("twsbr", name, seed=seed)
 
 
 def new_estimator() -> RecursivePredictionError:

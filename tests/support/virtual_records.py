@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
+import golden
+
 from models import library
 from models.model import Model
-from service.virtual.run import record
 from telemetry.recording import Recording
 
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
@@ -15,7 +16,7 @@ TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 
 @cache
 def multisine(*hide: str, seed: int = 8) -> Recording:
-    return record("monocab", "multisine", hide=hide, seed=seed)
+    return golden.recorded("monocab", "multisine", hide=hide, seed=seed)
 
 
 def true_model() -> Model:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import golden
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -46,7 +47,7 @@ SECONDS = 10.0
 
 @cache
 def recorded(experiment: str, *hide: str, seed: int = 31) -> Recording:
-    return record("cube", experiment, hide=hide, seed=seed, duration=SECONDS)
+    return golden.recorded("cube", experiment, hide=hide, seed=seed, duration=SECONDS)
 
 
 # --- vehicle file and drive

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import golden
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -18,7 +19,6 @@ from diagnosis.prediction.compare import compare
 from models.library import get
 from models.model import Model
 from service.cli import app
-from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
@@ -39,7 +39,7 @@ than the model states."""
 
 @cache
 def recorded(experiment: str, *hide: str, seed: int = 21) -> Recording:
-    return record("twsbr", experiment, hide=hide, seed=seed, duration=SECONDS)
+    return golden.recorded("twsbr", experiment, hide=hide, seed=seed, duration=SECONDS)
 
 
 def in_the_loop(recording: Recording, model: Model = TRUTH) -> ClosedLoop:
