@@ -68,7 +68,7 @@ class Recipe:
 
 GOLDEN = (
     *(
-        Recipe("monocab", "multisine", hide, 8)
+        Recipe("monocab", "multisine", hide, 8, 15.0)
         for hide in (
             (),
             ("coulomb_friction",),

@@ -1,4 +1,4 @@
-"""Recordings of the virtual vehicle that several test modules use: each is made once, in about 4 s."""
+"""Recordings of the virtual vehicle that several test modules use: each is made once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 
 @cache
 def multisine(*hide: str, seed: int = 8) -> Recording:
-    return golden.recorded("monocab", "multisine", hide=hide, seed=seed)
+    return golden.recorded("monocab", "multisine", hide=hide, seed=seed, duration=15.0)
 
 
 def true_model() -> Model:
