@@ -5,9 +5,9 @@ whole recording, so that they know their state when a piece begins, as an effect
 predictions inside it count. If the expected rise of the log-likelihood is smaller than its standard deviation, no
 statement is made. A fold in which the effect is not identifiable does not take part.
 
-If parts collide, an impact that is predicted one sample early is an error of dozens of standard deviations, and a
-second with a few of them outweighs all others. In that case errors have a normal distribution with tails (Box, Tiao, "A
-Bayesian approach to some outlier problems", 1968): for the right effect -3,000 ± 4,000 became 1,840 ± 610.
+Errors have a normal distribution with tails (Box, Tiao, "A Bayesian approach to some outlier problems", 1968): a
+single sample must not outweigh all others. If parts collide, an impact that is predicted one sample early is an error
+of dozens of standard deviations: with tails, for the right effect -3,000 ± 4,000 became 1,840 ± 610.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ HALVINGS = 8
 """Bisections on the way to the stated noise: how large a noise may be is found to a 256th of it."""
 NOT_IDENTIFIED = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 TAILS = 1e-3
-"""Share of the errors that impacts cause, and"""
+"""Share of the errors that impacts, blows or a sensor's outliers cause, and"""
 WIDER = 10.0
 """the factor by which these are wider."""
 
@@ -191,11 +191,11 @@ def judge(
             continue
         without, with_it = found
         impacts = any(each.effect.impacts for each in with_it.problem.model.effects)
-        rise = _expected_rise(with_it, amplitudes, part, support, impacts)
+        rise = _expected_rise(with_it, amplitudes, part, support)
         if 2.0 * np.sum(rise) < SIGNIFICANT**2:
             continue
         predicted.append(rise)
-        rises.append(_log_density(with_it, part, support, impacts) - _log_density(without, part, support, impacts))
+        rises.append(_log_density(with_it, part, support) - _log_density(without, part, support))
         known.append(off_prior(without) - off_prior(with_it))
         energies.append(_energies(without, with_it, part, support))
     if not rises:
@@ -233,34 +233,32 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
     return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 
-def loss(white: Array, impacts: bool) -> Array:
+def loss(white: Array) -> Array:
     """Negative log-likelihood of each sample of whitened errors `white` (n, outputs), less that of no error, nats (n,).
 
-    Errors have a normal distribution or, with `impacts` in the model, one that is contaminated by a wider one: (1 -
-    TAILS) N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
+    Errors have a normal distribution that is contaminated by a wider one: (1 - TAILS) N(0, 1) + TAILS N(0, WIDER^2)
+    (Box and Tiao).
     """
-    normal = 0.5 * white**2
-    if impacts:
-        odds = TAILS / WIDER / (1.0 - TAILS)
-        normal = normal - np.logaddexp(0.0, math.log(odds) + normal * (1.0 - WIDER**-2)) + math.log1p(odds)
-    return np.asarray(np.sum(normal, axis=1))
+    normal, odds = 0.5 * white**2, TAILS / WIDER / (1.0 - TAILS)
+    tailed = normal - np.logaddexp(0.0, math.log(odds) + normal * (1.0 - WIDER**-2)) + math.log1p(odds)
+    return np.asarray(np.sum(tailed, axis=1))
 
 
-def _log_density(fitted: Fit, part: Fold, support: float | None, impacts: bool) -> Array:
+def _log_density(fitted: Fit, part: Fold, support: float | None) -> Array:
     """Log density of the judged samples, by blocks of time."""
     task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
-    return _by_blocks(part, task, [-loss(z, impacts) - 0.5 * logarithm for z in _innovations(fitted, task)])
+    return _by_blocks(part, task, [-loss(z) - 0.5 * logarithm for z in _innovations(fitted, task)])
 
 
-def _expected_rise(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, impacts: bool) -> Array:
+def _expected_rise(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None) -> Array:
     """Expected rise of the log-likelihood of the judged samples by `amplitudes` if these are right, by blocks."""
     task = _whole(fitted, part, support)
     zero = [name in amplitudes for name in (parameter.name for parameter in task.parameters)]
     without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
     less = replace(fitted, minimum=replace(fitted.minimum, common=without))
     both = zip(_innovations(fitted, task), _innovations(less, task), strict=True)
-    return _by_blocks(part, task, [loss(one - other, impacts) for one, other in both])
+    return _by_blocks(part, task, [loss(one - other) for one, other in both])
 
 
 def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:
