@@ -1,9 +1,9 @@
 """What does the diagnosis decide, and by which numbers? A regression test of some 300 cases for changes of its code.
 
     python benchmarks/decisions.py record TABLE     diagnose every case and write the decisions: an hour or two
-    python benchmarks/decisions.py replay TABLE     decide again from the numbers in the table, in seconds
+    python benchmarks/decisions.py replay [TABLE]   decide again from the numbers in the table, in seconds
     python benchmarks/decisions.py diff OLD NEW     cases whose verdict or names differ
-    python benchmarks/decisions.py summary TABLE    right names, false names, unknown and adequate, by class
+    python benchmarks/decisions.py summary [TABLE]  right names, false names, unknown and adequate, by class
 
 The cases are records of both vehicles with nothing missing, with one effect, with two, or with one that is not in the
 catalogue, with and without a random disturbance; records of a MONOCAB of another simulator; bodies that swing freely;
@@ -51,6 +51,8 @@ from vehicles import registry
 from vehicles.file import load
 
 HERE = Path(__file__).parent
+KEPT = HERE / "decisions.jsonl.xz"
+"""The table in the repository, which `replay` and `summary` read by default."""
 SHARED = HERE.parents[1] / "shared"
 Line = dict[str, Any]
 
@@ -410,7 +412,7 @@ def main() -> None:
     verbs = parser.add_subparsers(dest="verb", required=True)
     for verb in ("record", "replay", "summary"):
         one = verbs.add_parser(verb)
-        one.add_argument("table", type=Path)
+        one.add_argument("table", type=Path, **({} if verb == "record" else {"nargs": "?", "default": KEPT}))
         if verb == "record":
             one.add_argument(
                 "--only", nargs="*", default=[], metavar="WORD", help="only cases whose name contains one of these"

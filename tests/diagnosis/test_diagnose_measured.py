@@ -14,6 +14,7 @@ from models.file.model_file import load_model
 pytestmark = pytest.mark.timeout(600)
 
 
+@pytest.mark.thorough
 def test_emps_without_dry_friction_and_offset_lacks_asymmetric_friction(measured_data: Path) -> None:
     """Dry friction of 20.39 N and an offset of 3.16 N are published. In motion the two are one friction that differs
     between the directions, and this is named. Its mean has to be right within 1 %. Half its difference is 1.2 % off,

@@ -61,6 +61,7 @@ def test_friction_of_a_pendulum_is_named_from_a_camera_with_delay_and_jitter(nam
         assert size == pytest.approx(hidden[name], rel=0.15)
 
 
+@pytest.mark.thorough
 def test_friction_and_current_noise_of_a_passive_motor_are_found() -> None:
     """The model is driven by a measured torque that does not act: the verdict used to be unknown, with a force that is
     correlated with this torque."""

@@ -122,3 +122,9 @@ def test_table_reproduces_the_decision_and_names_missing_held_out_data() -> None
 def test_every_case_of_the_regression_test_has_a_unique_name() -> None:
     names = [each.name for each in decisions.cases()]
     assert len(names) == len(set(names)) >= 280
+
+
+def test_table_in_the_repository_is_decided_again_without_a_difference() -> None:
+    table = decisions.read_table(decisions.KEPT)
+    assert sum(len(line["rounds"]) for line in table.values()) > 100
+    assert [each for line in table.values() for each in decisions.decided_again(line)] == []

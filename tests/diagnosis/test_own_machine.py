@@ -64,7 +64,7 @@ def diagnosed(
     return upright("diagnose", pendulum_plant.write(folder / "run.csv", missing, seed=SEED, **more), "--model", model)
 
 
-@pytest.mark.parametrize("effect", of_many(MISSING, "coulomb_friction", "torque_step"))
+@pytest.mark.parametrize("effect", of_many(MISSING, "torque_step"))
 def test_missing_effect_is_found_with_its_parameters(effect: str, model: Path, tmp_path: Path) -> None:
     missing, sizes = MISSING[effect]
     found = diagnosed(model, tmp_path, missing)

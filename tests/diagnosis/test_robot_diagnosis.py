@@ -130,7 +130,6 @@ def test_added_friction_explains_another_experiment_as_well(tmp_path: Path) -> N
     of_many(
         [(("static_torque",), 5.0), (("static_torque", "disturbance=0"), 30.0), ((), None)],
         (("static_torque",), 5.0),
-        ((), None),
     ),
 )
 def test_torque_is_needed_only_if_there_is_one(hidden: tuple[str, ...], least: float | None, tmp_path: Path) -> None:

@@ -296,6 +296,7 @@ class TestDiagnosis:
         assert found.findings[0].effect == "sensor_delay"
         assert len(found.findings[0].tied_with) <= 1
 
+    @pytest.mark.thorough
     def test_scale_error_of_twice_the_detectable_one_is_found_with_its_value(self) -> None:
         # 0.028 is detectable. A fifteenth allows for the gains of the filter, which are constant only in the model.
         truth = -1.87 * 0.03

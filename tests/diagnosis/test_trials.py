@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from thorough import of_many
 
 from benchmarks.free_decays import Body
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
@@ -53,7 +54,7 @@ def verdict(*further: str) -> Diagnosis:
     )
 
 
-@pytest.mark.parametrize("name", DIVERGES)
+@pytest.mark.parametrize("name", of_many(DIVERGES, "a_trap", "no_number"))
 def test_verdict_does_not_change_with_a_candidate_that_always_diverges(name: str) -> None:
     without, beside = verdict(), verdict(name)
     assert without.verdict is Verdict.MISSING_EFFECT, without.reason

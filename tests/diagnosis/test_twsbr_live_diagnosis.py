@@ -85,7 +85,7 @@ def test_no_effect_is_named_at_any_time_if_none_is_hidden(seed: int, air: str) -
 
 
 @pytest.mark.parametrize("air", ["disturbance", ""])
-@pytest.mark.parametrize("experiment", ["hold", "doublet", "sine_stream"])
+@pytest.mark.parametrize("experiment", of_many(["hold", "doublet", "sine_stream"], "hold"))
 def test_no_effect_is_named_while_the_wheels_hardly_move(experiment: str, air: str) -> None:
     """An encoder's error then persists for seconds, like friction: an effect was named in four of four runs of
     `hold`."""
@@ -100,7 +100,7 @@ def test_fewer_seconds_are_used_while_the_wheels_hardly_move() -> None:
     assert 0 < still.seconds < 0.6 * moving.seconds
 
 
-@pytest.mark.parametrize("hidden", list(HIDDEN))
+@pytest.mark.parametrize("hidden", of_many(HIDDEN, "coulomb_friction", "slope", "sensor_offset"))
 def test_hidden_effect_is_named_or_tied_with_the_name_at_the_end(hidden: str) -> None:
     *_, last = course(run(hidden), made())
     assert last.verdict == "missing_effect"

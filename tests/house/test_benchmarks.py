@@ -8,16 +8,32 @@ import sys
 from pathlib import Path
 
 import pytest
+from thorough import of_many
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 PROGRAMS = sorted(path.name for path in FOLDER.glob("*.py"))
 SHORT = {
+    "beside_disturbance.py": ("--effects", "static_torque", "--times", "0", "--duration", "12", "--jobs", "1"),
     "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
     "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),
-    "passes.py": ("--vehicle", "monocab", "--seconds", "12"),
     "monte_carlo.py": ("--runs", "2", "--duration", "15", "--method", "least_squares", "--processes", "1"),
+    "passes.py": ("--vehicle", "monocab", "--seconds", "12"),
+    "robot.py": ("--limit", "2"),
+    "robot_estimates.py": ("--runs", "1", "--processes", "1"),
 }
-"""Options of those that need no broker, browser, second vehicle or hour of computation."""
+"""Options of the self-contained ones."""
+LONGER = {
+    "diagnosing.py": (),
+    "fitting.py": (),
+    "free_decays.py": ("encoder",),
+    "live_diagnosis.py": ("--clean", "1"),
+    "measured_verdicts.py": ("emps",),
+    "others_recordings.py": ("--effect", "viscous_friction", "--processes", "1"),
+    "others_robot.py": ("--effect", "static_torque@travel", "--processes", "1"),
+    "robot_diagnosis.py": ("--case", "dead zone", "--effect", "input_deadband", "--named", "--processes", "1"),
+    "robot_next_experiment.py": ("--case", "dry or viscous, after a short doublet"),
+}
+"""Options of those that take minutes. The others measure a browser, a bus or another build, which a person starts."""
 
 
 @pytest.mark.parametrize("program", [each for each in PROGRAMS if each != "echo.py"])
@@ -28,9 +44,9 @@ def test_each_benchmark_can_be_imported(program: str, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.patient
-@pytest.mark.parametrize("program", SHORT)
-def test_each_self_contained_benchmark_runs(program: str) -> None:
-    command = [sys.executable, str(FOLDER / program), *SHORT[program]]
+@pytest.mark.parametrize("program", of_many([*SHORT, *LONGER], *SHORT))
+def test_self_contained_benchmark_runs(program: str) -> None:
+    command = [sys.executable, str(FOLDER / program), *{**SHORT, **LONGER}[program]]
     done = subprocess.run(command, capture_output=True, text=True, cwd=FOLDER.parent)
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip()

@@ -12,6 +12,7 @@ from pathlib import Path
 import golden
 import numpy as np
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
@@ -68,11 +69,14 @@ def loop_without_effect(hidden: str, name: str, size: str, value: float) -> Clos
 
 @pytest.mark.parametrize(
     ("hidden", "name", "size", "value"),
-    [
-        ("static_torque", "static_torque", "torque", 0.01),
-        ("input_deadband", "input_deadband", "width", 0.6),
+    of_many(
+        [
+            ("static_torque", "static_torque", "torque", 0.01),
+            ("input_deadband", "input_deadband", "width", 0.6),
+            ("coulomb_friction", "coulomb_friction@wheels", "torque", 0.02),
+        ],
         ("coulomb_friction", "coulomb_friction@wheels", "torque", 0.02),
-    ],
+    ),
 )
 def test_hidden_effect_raises_the_closed_loop_error(hidden: str, name: str, size: str, value: float) -> None:
     """The error is more than twice that of a right model, and more than twice that of noise and disturbance."""
