@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_likelihood, off_prior, with_effect
+from diagnosis.fits.refit import CREEPING, FURTHER_FITS, FullFit, full, log_likelihood, off_prior, with_effect
 from diagnosis.prediction.ahead import errors
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
@@ -55,7 +55,7 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
     chosen = [each for each in others if each.effect.name in names and not each.effect.impacts]
     # Compiled one after the other, before two threads need them.
     ready = [workspace.in_time(partial(_from_usual, base.model, each, workspace), each.name) for each in chosen]
-    fitted = side_by_side(partial(_fitted, workspace), [each for each in ready if each is not None])
+    fitted = side_by_side(partial(_fitted, base, workspace), [each for each in ready if each is not None])
     found = [each for each in fitted if each is not None]
     for candidate in others:
         if candidate.effect.impacts:
@@ -75,14 +75,25 @@ def _from_usual(model: Model, candidate: Candidate, workspace: Workspace) -> tup
     return candidate, wider
 
 
-def _fitted(workspace: Workspace, start: tuple[Candidate, Model]) -> FullFit | None:
+def _fitted(base: FullFit, workspace: Workspace, start: tuple[Candidate, Model]) -> FullFit | None:
     """The full fit from `start`; None if it fails, or time runs out."""
     (candidate, wider), hurried = start, workspace.for_one
 
     def one() -> FullFit:
-        return _other_way_round(full(wider, hurried, candidate, longer=FURTHER_FITS), hurried)
+        return _other_way_round(_as_evident(base, wider, hurried, candidate), hurried)
 
     return workspace.in_time(one, candidate.name)
+
+
+def _as_evident(
+    base: FullFit, model: Model, workspace: Workspace, candidate: Candidate, begin: Begin | None = None
+) -> FullFit:
+    """The full fit of `model`, the one of `base` with the candidate. Where little more is expected, it goes on only if
+    there is evidence for the candidate there: most have none."""
+    found = full(model, workspace, candidate, begin, enough=CREEPING)
+    if found.evidence <= base.evidence:
+        return found
+    return full(model, workspace, candidate, found.fit.end, longer=FURTHER_FITS)
 
 
 def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
@@ -98,14 +109,14 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
 
     def tried(start: Model, begin: Begin | None = None) -> tuple[float, Begin] | None:
         try:
-            found = fit(workspace.problem(start), iterations=TRIED, begin=begin)
+            found = fit(workspace.problem(start), iterations=TRIED, begin=begin, enough=CREEPING)
         except FAILURES:
             return None
         return log_likelihood(found) - off_prior(found), found.end
 
     def fitted(end: Begin) -> FullFit | None:
         try:
-            return full(starts[0], workspace, candidate, end, longer=FURTHER_FITS)
+            return _as_evident(base, starts[0], workspace, candidate, end)
         except FAILURES:
             return None
 
