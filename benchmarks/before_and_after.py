@@ -39,6 +39,7 @@ RECORDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """Experiment, and what is hidden."""
 SEED = 9
+"""Of both recordings. No setting was chosen on them."""
 COUNTED = {
     "fits": ("estimators", "fit"),
     "attach": ("models", "attach"),

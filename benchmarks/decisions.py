@@ -214,14 +214,8 @@ def _measured() -> Iterator[Case]:
     for folder, found in measured_verdicts.SOURCES.values():
         if (SHARED / "data" / folder).is_dir():
             for case in found(SHARED / "data"):
-                words = () if case.hidden.startswith("clean") else tuple(map(_as_in_catalogue, case.hidden.split(", ")))
-                unlisted = case.hidden == "sloshing"
-                yield Case(f"measured {case.name}", words, unlisted, _measured_diagnosed(case))
-
-
-def _as_in_catalogue(word: str) -> str:
-    """The catalogue's name of an effect, if `word` is that with a level after it: "cubic_stiffness_9e6"."""
-    return max((name for name in CATALOGUE if word.startswith(name)), key=len, default=word)
+                unlisted = any(name not in CATALOGUE for name in case.hidden)
+                yield Case(f"measured {case.name}", case.hidden, unlisted, _measured_diagnosed(case))
 
 
 def _measured_diagnosed(case: measured_verdicts.Case) -> Callable[[], Diagnosis]:

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.prediction.compare import compare
+from estimators.stopwatch import stopwatch
 from models.library import get
 from service.offline.replay import live_diagnosis
 from service.virtual.run import record
@@ -115,8 +116,9 @@ def tried(case: Case, seed: int, level: float, candidates: list[str], named: boo
         looked_for = [word for each in candidates for word in ("--effect", each)]
         if budget is not None:
             looked_for += ["--budget", f"{budget:g}"]
+        begun = stopwatch()
         found = upright("diagnose", square, "--vehicle", file, *looked_for)
-        lines = [diagnosed(case, found)]
+        lines = [f"{diagnosed(case, found)}, {stopwatch() - begun:.0f} s"]
         if case.names and not named:
             effect, _, place = case.names[0].partition("@")
             at = ["--at", place] if place else []

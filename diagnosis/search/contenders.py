@@ -200,7 +200,7 @@ def _quick_fits(
     near = chosen[0].candidate.effect.confused_with if chosen else ()
     chosen += [score for score in scored.scores if score.candidate.name in near and score not in chosen]
     if not every:
-        # From the model alone, a fit with colliding parts leads nowhere (diagnosis.fits.confounded).
+        # From the model alone, a fit with colliding parts mostly leads nowhere (diagnosis.fits.confounded).
         chosen = [score for score in chosen if not score.candidate.effect.impacts]
 
     quickly = workspace.within(QUICKLY)

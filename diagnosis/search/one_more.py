@@ -74,7 +74,8 @@ def may_be_significant(scored: ScoreTest) -> bool:
 
 
 def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = None) -> Named | Covered | None:
-    """The effect that explains most, in the model; None if none passes the gates and the check on held-out data.
+    """The effect that explains most, in the model, or the fit with it if formulas may leave as much; None if none
+    passes the gates and the check on held-out data.
 
     `before`: an effect whose fit is known, and that passed the check on held-out data.
     """

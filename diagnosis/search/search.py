@@ -124,8 +124,8 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
 
 
 def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
-    """`now` with the effect that explains most of its lack of fit, with its fit only if it is too little for a name;
-    None if none passes."""
+    """`now` with the effect that explains most of its lack of fit; if formulas may leave as much, with the fit of that
+    effect, but without its name; None if none passes."""
     workspace, seen = how.workspace, may_be_significant(scored)
     # In a fit of the model alone the disturbance may have grown to imitate what is missing, so that nothing shows.
     if not seen and (now.findings or not (how.confounded or undisturbed_fit(now.fit, workspace) is not None)):

@@ -81,7 +81,7 @@ def generate(model: Model, neutral: Collection[str] = ()) -> Code:
         if target.function == "observe" or target.array == "result" or target.place // sizes[target.array] in rows
     }
     symbols = sympy.numbered_symbols("q_")
-    # Sorting the arguments of every sum and product would take half the time, and the code is the same without.
+    # Unsorted: the arguments of sums and products have an order of their own, and sorting finds nothing more to share.
     shared, reduced = sympy.cse(list(targets.values()), symbols=symbols, order="none", list=False)
     writer = _Writer(places=_places(equations), definitions=dict(shared))
     constants = writer.constants(equations.parameters)

@@ -129,3 +129,27 @@ def test_processes_share_the_cache(empty: Path) -> None:
     assert not [path for path in empty.iterdir() if path.suffix == ".tmp"]
     output, _ = _start().communicate(timeout=60)
     assert json.loads(output) == [[], [], len(kernels.FUNCTIONS)]
+
+
+ROBOT = """
+from models import library
+from models.compiler.codegen import generate
+print(generate(library.get("twsbr")))
+"""
+
+
+def test_code_does_not_depend_on_the_process() -> None:
+    """Sums and products of the robot's equations have many arguments, which hashes of strings must not reorder."""
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", ROBOT],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            cwd=Path(__file__).parents[2],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    )
+    assert len(first) > 10_000
+    assert first == second

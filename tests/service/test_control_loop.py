@@ -37,6 +37,7 @@ def assert_rests_disarmed(closed: ClosedLoop) -> None:
 
 EXPERIMENTS = list(load("monocab").experiments)
 LONG = ("sweep", "output_sweep")
+"""A minute each. The tests on a bus run them, too, for 20 and 30 s."""
 
 
 @pytest.mark.parametrize("name", of_many(EXPERIMENTS, *(each for each in EXPERIMENTS if each not in LONG)))

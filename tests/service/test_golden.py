@@ -12,9 +12,10 @@ from telemetry.arrow_file import read_parquet
 ALWAYS = [next(each for each in GOLDEN if each.vehicle == name) for name in ("twsbr", "cube")]
 ALWAYS.append(next(each for each in GOLDEN if each.vehicle == "monocab" and each.duration == 10.0))
 SAME = 1e-4
-"""Share of a channel's own scatter: another processor's last bits may change an encoder's count."""
+"""Share of a channel's own scatter by which it may differ (RMS): the last bits of another processor's arithmetic may
+change an encoder's count. Chosen, not measured."""
 ROUNDED = 2.0**-23
-"""Relative, of values with 32 bits."""
+"""Relative rounding error of values with 32 bits."""
 
 
 @pytest.mark.parametrize("recipe", of_many(GOLDEN, *ALWAYS), ids=lambda recipe: recipe.path.stem)

@@ -10,11 +10,10 @@ meant to change what it records, delete the files and record them again; tests/s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
@@ -48,8 +47,7 @@ class Recipe:
 
     def write(self) -> None:
         """Records the virtual vehicle and replaces the file."""
-        made = self.simulated()
-        write_parquet(replace(made, values={name: np.float32(each) for name, each in made.values.items()}), self.path)
+        write_parquet(self.simulated(), self.path)
         table = pa.parquet.read_table(self.path)
         fields = [
             field.with_type(pa.float32()) if pa.types.is_floating(field.type) else field for field in table.schema

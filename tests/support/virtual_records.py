@@ -1,8 +1,6 @@
-"""Recordings of the virtual vehicle that several test modules use: each is made once."""
+"""Recordings of the virtual vehicle, and its true model, that several test modules use."""
 
 from __future__ import annotations
-
-from functools import cache
 
 import golden
 
@@ -14,8 +12,8 @@ TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 """True values of the independent plant; the other parameters are the same in plant and model."""
 
 
-@cache
 def multisine(*hide: str, seed: int = 8) -> Recording:
+    """15 s of multisine between getting up and lying down."""
     return golden.recorded("monocab", "multisine", hide=hide, seed=seed, duration=15.0)
 
 
