@@ -46,6 +46,10 @@ FURTHER_FITS = 2
 COMPARED = 0.02
 """Fall of the cost below which a fit that is only compared with others makes no further step: no parameter would move
 by more than a fifth of its standard deviation, and log-likelihood ratios are compared with several."""
+LEAST = 0.05
+"""Fall of the cost below which a quick fit makes no further step."""
+ROUGH = 0.01
+"""Share of what the best effect explains to which a quick fit is accurate: it decides which of them explain most."""
 CREEPING = 1.0
 """Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 
@@ -101,10 +105,11 @@ def with_effect(model: Model, candidate: Candidate, values: Mapping[str, float])
     return wider.change(dict(values), estimated=names)
 
 
-def quick(base: Fit, model: Model, score: Score, workspace: Workspace) -> QuickFit:
-    """The best of several starts."""
+def quick(base: Fit, model: Model, score: Score, workspace: Workspace, most: float) -> QuickFit:
+    """The best of several starts. `most`: what the best effect explains, nats."""
     starts = [*score.starts[:STARTS], *_elsewhere(score)]
-    found = [_quick(base, model, score.candidate, start, workspace) for start in starts]
+    enough = max(LEAST, ROUGH * most)
+    found = [_quick(base, model, score.candidate, start, workspace, enough) for start in starts]
     return max(found, key=lambda each: each.gain)
 
 
@@ -122,7 +127,9 @@ def _apart(one: float, other: float) -> bool:
     return max(one, other) > ELSEWHERE * min(one, other)
 
 
-def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, float], workspace: Workspace) -> QuickFit:
+def _quick(
+    base: Fit, model: Model, candidate: Candidate, start: Mapping[str, float], workspace: Workspace, enough: float
+) -> QuickFit:
     task = workspace.problem(with_effect(model, candidate, start)).like(base.problem)
     size = len(base.problem.free)
     gain = np.zeros((len(task.kernel.states), len(task.kernel.outputs)))
@@ -166,7 +173,7 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
             upper=upper,
             iterations=iterations,
             tolerance=1e-3,
-            enough=0.05,
+            enough=enough,
         )
 
     minimum = fitted(begin, own, ITERATIONS)

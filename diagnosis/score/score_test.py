@@ -332,19 +332,21 @@ def _pairs(
     """What two candidates, each at the best of its shapes, explain together; only those that may be significant, by
     Bonferroni."""
     found = []
+    tries = {name: _tries(entry, by_name) for name, entry in best.items()}
     together = list(combinations(best.values(), 2))
-    for one, other in together:
-        where = np.concatenate((one.where, other.where))
-        sizes = _inverse(information[np.ix_(where, where)]) @ score[where]
-        statistic = float(sizes @ score[where]) / max(one.inflation, other.inflation)
-        tries = len(together) * _tries(one, by_name) * _tries(other, by_name)
-        p_value = tries * float(chi2.sf(statistic, len(where)))
-        if p_value >= 1.0:
-            continue
-        parts = sizes[: len(one.where)], sizes[len(one.where) :]
-        if all(_allowed(each.candidate, part) for each, part in zip((one, other), parts, strict=True)):
-            starts = replace(one, sizes=parts[0]).start, replace(other, sizes=parts[1]).start
-            found.append(Pair((one.candidate, other.candidate), p_value, starts))
+    for widths in {tuple(len(each.where) for each in pair) for pair in together}:
+        alike = [pair for pair in together if tuple(len(each.where) for each in pair) == widths]
+        where = np.array([np.concatenate((one.where, other.where)) for one, other in alike])
+        sizes = (_inverse(information[where[:, :, None], where[:, None, :]]) @ score[where][:, :, None])[:, :, 0]
+        inflation = [max(one.inflation, other.inflation) for one, other in alike]
+        number = [len(together) * tries[one.candidate.name] * tries[other.candidate.name] for one, other in alike]
+        p_values = number * chi2.sf(np.sum(sizes * score[where], axis=1) / inflation, sum(widths))
+        for place in np.flatnonzero(p_values < 1.0):
+            pair, parts = alike[place], (sizes[place, : widths[0]], sizes[place, widths[0] :])
+            if all(_allowed(each.candidate, part) for each, part in zip(pair, parts, strict=True)):
+                first, second = (replace(each, sizes=part) for each, part in zip(pair, parts, strict=True))
+                candidates, starts = (first.candidate, second.candidate), (first.start, second.start)
+                found.append(Pair(candidates, float(p_values[place]), starts))
     return tuple(sorted(found, key=lambda each: each.p_value))
 
 
@@ -359,11 +361,10 @@ def _allowed(candidate: Candidate, sizes: Array) -> bool:
 
 
 def _inverse(square: Array) -> Array:
-    """Inverse of an information (k, k); directions without information are left at zero."""
-    scale = np.sqrt(np.diag(square))
-    return np.asarray(
-        np.linalg.pinv(square / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale)
-    )
+    """Inverse of each information (..., k, k); directions without information are left at zero."""
+    scale = np.sqrt(np.diagonal(square, axis1=-2, axis2=-1))
+    unit = scale[..., :, None] * scale[..., None, :]
+    return np.asarray(np.linalg.pinv(square / unit, rcond=1e-9, hermitian=True) / unit)
 
 
 def _variances(square: Array) -> Array:

@@ -203,7 +203,7 @@ def _quick_fits(
         # From the model alone, a fit with colliding parts mostly leads nowhere (diagnosis.fits.confounded).
         chosen = [score for score in chosen if not score.candidate.effect.impacts]
 
-    quickly = workspace.within(QUICKLY)
+    quickly, most = workspace.within(QUICKLY), max((score.gain for score in scored.scores), default=0.0)
 
     def prepare(number: int, score: Score) -> bool:
         title, share = score.candidate.effect.title, number / len(chosen)
@@ -215,7 +215,7 @@ def _quick_fits(
     chosen = [score for number, score in enumerate(chosen) if prepare(number, score)]
 
     def quickly_fitted(score: Score) -> QuickFit | None:
-        return quickly.in_time(partial(_ended, base, score, quickly.for_one), score.candidate.name, failed=True)
+        return quickly.in_time(partial(_ended, base, score, quickly.for_one, most), score.candidate.name, failed=True)
 
     quicks: list[QuickFit] = []
     for number, each in enumerate(side_by_side(quickly_fitted, chosen), start=1):
@@ -224,9 +224,9 @@ def _quick_fits(
     return [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
 
 
-def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
+def _ended(base: FullFit, score: Score, workspace: Workspace, most: float) -> QuickFit:
     """A quick fit. Raises ArithmeticError if the model diverges from every start."""
-    found = quick(base.fit, base.model, score, workspace)
+    found = quick(base.fit, base.model, score, workspace, most)
     if not math.isfinite(found.gain):
         raise ArithmeticError("the model diverges from every start")
     return found
