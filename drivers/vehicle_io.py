@@ -20,7 +20,7 @@ class VehicleIo:
     def __init__(self, imu: Imu, drives: Sequence[Drive]) -> None:
         self.imu = imu
         self.drives = tuple(drives)
-        self._acting = tuple((drive, drive.config.acts) for drive in self.drives)
+        self._following = tuple((drive, drive.config.follows) for drive in self.drives)
         self._handlers: dict[int, Callable[[CanFrame], object]] = {}
         for drive in self.drives:
             for can_id in drive.can_ids:
@@ -55,14 +55,17 @@ class VehicleIo:
         """Receive time of the oldest of the drives' latest values; 0 until each of them has sent all of its own."""
         return min([drive.timestamp_ns for drive in self.drives])
 
-    def command(self, target: State, setpoint: float) -> list[tuple[int, bytes]]:
-        """The setpoint frames of one cycle: each drive one step towards `target`, the acting ones with `setpoint`.
+    def command(self, target: State, setpoint: float, others: Sequence[float] = ()) -> list[tuple[int, bytes]]:
+        """The setpoint frames of one cycle: each drive one step towards `target`, with the setpoint that it follows:
+        `setpoint`, or one of the `others`, which are counted from 1 on; with 0 if that is not given.
 
-        `setpoint` is in axis unit/s (rad/s) or V, as the drives' mode takes it.
+        Setpoints are in axis unit/s (rad/s, m/s) or V, as the drives' mode takes it.
         """
         frames: list[tuple[int, bytes]] = []
-        for drive, acts in self._acting:
-            frames.extend(drive.command(target, setpoint if acts else 0.0))
+        given = len(others)
+        for drive, number in self._following:
+            its = setpoint if number == 0 else others[number - 1] if number <= given else 0.0
+            frames.extend(drive.command(target, its))
         return frames
 
     def reset(self, start_ns: int) -> None:

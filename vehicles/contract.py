@@ -57,13 +57,15 @@ class Command:
     """The command to the drives in this cycle, and what it follows from.
 
     `setpoint` is the controller's output (rad/s of precession, V at the motors); `reference` (rad) the angle that was
-    aimed at; `excitation` the test signal's value, in the unit of the signal to which it was added.
+    aimed at; `excitation` the test signal's value, in the unit of the signal to which it was added. `others`: setpoints
+    of further roles by their number (`vehicles.sections.Role.follows`), from 1 on; those that are not given are 0.
     """
 
     target: State
     setpoint: float
     reference: float = 0.0
     excitation: float = 0.0
+    others: tuple[float, ...] = ()
 
 
 IDLE = Command(State.SWITCH_ON_DISABLED, 0.0)
@@ -112,8 +114,9 @@ class Handling(Protocol[M_in]):
 class Pilot(Protocol[M_in]):
     """The controller of a vehicle, designed once and checked; it makes the handling of each experiment."""
 
-    def handling(self, excitation: Excitation) -> Handling[M_in]:
-        """The handling of one run of an experiment; it keeps nothing of an earlier run."""
+    def handling(self, excitation: Excitation, controller: str | None) -> Handling[M_in]:
+        """The handling of one run of an experiment with that one of the kind's controllers (`VehicleFile.CONTROLLERS`),
+        by default the first; it keeps nothing of an earlier run."""
         ...
 
     def findings(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:
     return DriveConfig(
         name=drive.name,
         role=drive.role,
-        acts=vehicle.ROLES[drive.role].acts,
+        follows=vehicle.ROLES[drive.role].follows,
         node=drive.node,
         direction=drive.direction,
         axis_per_turn=drive.axis_per_turn,

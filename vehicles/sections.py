@@ -115,13 +115,13 @@ class ImuSection(Section):
 class Role:
     """The drives of one role in a kind of vehicle.
 
-    There are `least` to `most` of them. If the role `acts`, they follow the controller's setpoint; else they are held
-    at standstill. The axis of a `linear` one moves along a line.
+    There are `least` to `most` of them. They follow the controller's setpoint of number `follows`, 0 for its first. The
+    axis of a `linear` one moves along a line.
     """
 
     least: int
     most: int
-    acts: bool = True
+    follows: int = 0
     linear: bool = False
 
 
@@ -232,6 +232,8 @@ class ExperimentSection(Section):
     at: str = ""
     """Where the excitation is added: one of the injection points of its kind of vehicle, by default the first of
     them."""
+    controller: str | None = None
+    """What holds the vehicle up: one of the controllers of its kind, by default the first of them."""
     duration: Positive
     amplitude: Positive | None = None
     amplitude_deg: Positive | None = None
@@ -301,6 +303,8 @@ class VehicleFile(Section):
     """The drives that this kind of vehicle has."""
     INJECTION_POINTS: ClassVar[tuple[str, ...]]
     """Where the excitations of its experiments may enter; the first is the default."""
+    CONTROLLERS: ClassVar[tuple[str, ...]] = ()
+    """What may hold it up; the first is the default. Empty if there is only one."""
 
     vehicle: VehicleSection
     bus: BusSection
@@ -353,6 +357,13 @@ class VehicleFile(Section):
     @model_validator(mode="after")
     def _experiments_fit_the_kind(self) -> Self:
         for name, experiment in self.experiments.items():
+            if experiment.controller is not None and experiment.controller not in self.CONTROLLERS:
+                several = ", ".join(self.CONTROLLERS)
+                known = f"use one of {several}" if several else "leave it out: it has only one"
+                raise ValueError(
+                    f"experiments.{name}: controller = {experiment.controller!r} is not one of a {self.vehicle.kind}; "
+                    f"{known}"
+                )
             if experiment.at not in self.INJECTION_POINTS:
                 raise ValueError(
                     f"experiments.{name}: at = {experiment.at!r} is not an injection point of a {self.vehicle.kind}; "

@@ -57,8 +57,8 @@ class DriveConfig:
     """N m at the motor: the base of 6071h and 6077h (per mille)."""
     rpdo: tuple[tuple[str, ...], ...]
     tpdo: tuple[tuple[str, ...], ...]
-    acts: bool = True
-    """Whether it follows the controller's setpoint; other drives are held at standstill."""
+    follows: int = 0
+    """Number of the controller's setpoint that it follows, from 0 on."""
     eds: str = "upright_servo.eds"
     """A shipped EDS by its name, or a path; see `find_eds`."""
     vendor_id: int = 0

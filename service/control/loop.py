@@ -209,7 +209,7 @@ class ControlLoop:
 
     def _transmit(self, command: Command, now_ns: int) -> None:
         send = self._send
-        for can_id, data in self.io.command(command.target, command.setpoint):
+        for can_id, data in self.io.command(command.target, command.setpoint, command.others):
             send(can_id, data, now_ns)
         send(SYNC, b"", now_ns)
         if self.cycles >= self._heartbeat_due:

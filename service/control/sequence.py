@@ -45,8 +45,9 @@ def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -
 
     Raises ExcitationError if the experiment's signal cannot be generated.
     """
-    excitation = make_excitation(vehicle.experiments[experiment], float(vehicle.control.rate))
-    return Plan(excitation, pilot.handling(excitation), vehicle.support, angle)
+    section = vehicle.experiments[experiment]
+    excitation = make_excitation(section, float(vehicle.control.rate))
+    return Plan(excitation, pilot.handling(excitation, section.controller), vehicle.support, angle)
 
 
 class ExperimentRun:

@@ -13,7 +13,7 @@ from vehicles.file import load
 from vehicles.monocab.control.controller import PrecessionReturn, RollController, SetpointLimits, design
 from vehicles.monocab.control.linear_model import MonocabParameters
 
-GAINS = LqiGains((100.0, 16.0, 1.0), 0.1, 180.0, 0.004)
+GAINS = LqiGains(((100.0, 16.0, 1.0),), ((0.1,),), ((180.0,),), 0.004)
 LIMITS = SetpointLimits(rate=1.0, acceleration=40.0)
 PARAMETERS = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
 DT = 0.004
@@ -76,7 +76,7 @@ def test_anti_windup_keeps_a_long_saturation_from_delaying_recovery() -> None:
 
 def test_integral_term_is_the_integral_of_the_error_within_the_limits() -> None:
     """With all other gains at zero, the setpoint after n cycles of a constant error e is -k_i e dt (n - 1)."""
-    gains = LqiGains((0.0, 0.0, 0.0), 0.0, 180.0, DT)
+    gains = LqiGains(((0.0, 0.0, 0.0),), ((0.0,),), ((180.0,),), DT)
     subject = RollController(gains, LIMITS, PrecessionReturn(PARAMETERS, 0.0, 0.04))
     for _ in range(100):
         subject.step(0.0005, 0.0, 0.0, 0.0, 0.0, DT)

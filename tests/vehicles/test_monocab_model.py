@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from models.control_design import StateSpace
 from models.gravity import GRAVITY
 from vehicles.monocab.control.linear_model import (
     MonocabParameters,
@@ -44,22 +45,32 @@ def test_constant_precession_rate_holds_roll_at_the_torque_balance_angle() -> No
 
 def test_trim_mass_tips_towards_positive_roll_and_its_acceleration_reacts_opposite() -> None:
     model = full_model(PARAMETERS)
-    displaced = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-    roll_acceleration = (model.A @ displaced)[1]
-    assert roll_acceleration == pytest.approx(500.0 * GRAVITY * 0.1 / 1650.0)
-    kick = model.B[1, 0]
-    trim_acceleration = model.B[3, 0]
-    assert kick == pytest.approx(-500.0 * 0.4 * trim_acceleration / 1650.0)
+    of = model.A[1, [model.states.index(name) for name in ("trim_position", "trim_acceleration")]]
+    assert of == pytest.approx([500.0 * GRAVITY / 1650.0, -500.0 * 0.4 / 1650.0])
 
 
 def test_full_model_with_centred_trim_mass_matches_the_reduced_model() -> None:
+    """While the gimbals turn steadily at their setpoint, as both models of the speed loop have it."""
     full, reduced = full_model(PARAMETERS), reduced_model(PARAMETERS)
-    start = np.array([0.01, -0.02, 0.0, 0.0, 0.3, 0.05])
-    roll, _, _, _, precession, _ = expm(full.A * 0.3) @ start
-    reduced_roll, _, _ = expm(reduced.A * 0.3) @ start[[0, 1, 5]]
-    assert roll == pytest.approx(reduced_roll)
-    assert precession == pytest.approx(0.3 + 0.05 * 0.04 * (1.0 - math.exp(-0.3 / 0.04)))
+    begin = {"roll": 0.01, "roll_rate": -0.02, "precession": 0.3, "precession_rate": 0.05}
+
+    def later(model: StateSpace) -> dict[str, float]:
+        forced = model.A + np.outer(model.B[:, -1], np.eye(len(model.A))[model.states.index("precession_rate")])
+        start = np.array([begin.get(name, 0.0) for name in model.states])
+        return dict(zip(model.states, expm(forced * 0.3) @ start, strict=True))
+
+    assert later(full)["roll"] == pytest.approx(later(reduced)["roll"])
+    assert later(full)["precession"] == pytest.approx(0.3 + 0.05 * 0.3)
     assert full.outputs == ("roll", "precession")
+
+
+def test_speed_loops_of_the_full_model_are_those_of_the_symmetric_optimum() -> None:
+    model = full_model(PARAMETERS)
+    lag, s = PARAMETERS.speed_loop_lag, 25.0j
+    expected = 1.0 / (1.0 + lag * s + (lag * s) ** 2 / 2.0 + (lag * s) ** 3 / 8.0)
+    answer = np.linalg.solve(s * np.eye(10) - model.A, model.B)
+    for number, name in enumerate(("trim_rate", "precession_rate")):
+        assert answer[model.states.index(name), number] == pytest.approx(expected)
 
 
 def test_static_torque_with_roll_at_zero_requires_a_constant_precession_rate() -> None:

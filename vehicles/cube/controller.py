@@ -54,7 +54,7 @@ def design(vehicle: CubeFile) -> CheckedDesign:
     def at(factors: Mapping[str, float]) -> StateSpace:
         return linear_model({**known, **{name: factor * known[name] for name, factor in factors.items()}})
 
-    weights = LqiWeights(states, section.integral_weight, section.effort_weight)
+    weights = LqiWeights(states, (section.integral_weight,), (section.effort_weight,))
     return checked_design(at, UNCERTAIN, weights, vehicle.period)
 
 
@@ -68,9 +68,9 @@ class WheelController:
 
     def __init__(self, gains: LqiGains, limit: float) -> None:
         """`limit` of the torque in N m."""
-        self._gains = gains.states
-        self._previous_gain = gains.previous
-        self._angle_gain = gains.integral
+        (self._gains,) = gains.states
+        ((self._previous_gain,),) = gains.previous
+        ((self._angle_gain,),) = gains.integral
         self._limit = limit
         self._angle = 0.0
         self.torque = 0.0

@@ -61,7 +61,7 @@ class CubePilot:
     vehicle: CubeFile
     design: CheckedDesign
 
-    def handling(self, excitation: Excitation) -> CubeHandling:
+    def handling(self, excitation: Excitation, controller: str | None) -> CubeHandling:
         vehicle = self.vehicle
         return CubeHandling(
             WheelController(self.design.gains, vehicle.limits.torque),

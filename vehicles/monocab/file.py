@@ -20,6 +20,9 @@ from vehicles.sections import (
     VehicleFile,
 )
 
+REDUCED, FULL = "reduced", "full"
+"""The controllers: of the roll angle by the gimbals alone, and with the trim mass, which brings the gimbals back."""
+
 
 class MonocabLimits(LimitsSection):
     """Limits of roll, gimbals and trim mass."""
@@ -33,6 +36,8 @@ class MonocabLimits(LimitsSection):
     gimbal_mismatch_deg: Positive
     trim_position: Positive
     trim_rate: Positive
+    trim_acceleration: Positive = 0.5
+    """m/s^2, of the setpoint."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -81,12 +86,42 @@ class MonocabController(ControllerSection):
     precession_return_limit_deg: NotNegative
 
 
+class MonocabFullController(ControllerSection):
+    """Weights of the full LQI design, over roll, trim mass and precession; see `control.full`."""
+
+    roll_weight: Positive = 5.0e2
+    """1/rad^2."""
+    roll_rate_weight: NotNegative = 0.0
+    """s^2/rad^2; a larger one damps more."""
+    roll_integral_weight: Positive = 2.5e5
+    """1/(rad s)^2; with a larger one a load deflects the vehicle less."""
+    precession_weight: NotNegative = 1.0
+    """1/rad^2; with a larger one the gimbals turn less."""
+    precession_integral_weight: Positive = 3.0
+    """1/(rad s)^2; with a larger one the gimbals come back to the middle sooner."""
+    trim_rate_weight: NotNegative = 0.0
+    """s^2/m^2; with a larger one the trim mass moves more slowly."""
+    trim_effort_weight: Positive = 30.0
+    """s^2/m^2, on the trim rate setpoint."""
+    effort_weight: Positive = 1.0
+    """s^2/rad^2, on the precession rate setpoint; a larger one reduces the bandwidth."""
+
+
 class MonocabFile(VehicleFile):
     """A monorail vehicle that two or more gimbals hold up, with or without a trim mass."""
 
-    ROLES: ClassVar[Mapping[str, Role]] = {"gimbal": Role(1, 16), "trim": Role(0, 1, acts=False, linear=True)}
+    ROLES: ClassVar[Mapping[str, Role]] = {"gimbal": Role(1, 16), "trim": Role(0, 1, follows=1, linear=True)}
     INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("roll_reference", REST, CONTROLLER_OUTPUT)
+    CONTROLLERS: ClassVar[tuple[str, ...]] = (REDUCED, FULL)
 
     limits: MonocabLimits
     parameters: MonocabCad
     controller: MonocabController
+    full_controller: MonocabFullController = MonocabFullController()
+
+    @model_validator(mode="after")
+    def _full_controller_has_a_trim_mass(self) -> Self:
+        full = [name for name, each in self.experiments.items() if each.controller == FULL]
+        if full and not any(drive.role == "trim" for drive in self.drive):
+            raise ValueError(f'experiments.{full[0]}: controller = "{FULL}" needs a trim mass: add its drive')
+        return self

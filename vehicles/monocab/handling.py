@@ -1,4 +1,9 @@
-"""How a MONOCAB gets up, balances and gets down: gimbals to the middle, the step from rest, the LQI, the lowering."""
+"""How a MONOCAB gets up, balances and gets down: gimbals to the middle, the step from rest, the LQI, the lowering.
+
+The reduced LQI gets it up and down. The full one takes over when the motion of getting up has decayed. Afterwards the
+trim mass stays where it balances the vehicle until that lies on a support, and then returns to where it was before: its
+place may have been chosen to balance the empty vehicle.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from drivers.cia402.states import State
 from vehicles.contract import Command, Lean
 from vehicles.monocab.axes import GimbalMeasurement
 from vehicles.monocab.control.controller import RollController
+from vehicles.monocab.control.full import FullController, FullState
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
 
@@ -16,6 +22,15 @@ CENTRE_RATE = 0.08
 
 CENTRED = 0.005
 """rad of precession that counts as the middle."""
+
+TRIM_RATE = 0.03
+"""m/s, at rest."""
+
+TRIM_BACK = 0.001
+"""m from its place before that counts as back."""
+
+DECAYED = 1.5
+"""s upright after which the full controller takes over."""
 
 
 class GimbalHandling:
@@ -30,6 +45,7 @@ class GimbalHandling:
         support: float,
         budget: float,
         on_reference: bool,
+        full: FullController | None = None,
     ) -> None:
         self._controller = controller
         self._rise = rise
@@ -37,6 +53,9 @@ class GimbalHandling:
         self._support = support
         self._budget = budget
         self._on_reference = on_reference
+        self._full = full
+        self._upright, self._fully = 0.0, False
+        self._trim_before = 0.0
         self._side = 0.0
         self._lowering: Lowering | None = None
 
@@ -54,9 +73,14 @@ class GimbalHandling:
 
     def centre(self, drives: GimbalMeasurement) -> Command | None:
         """Slowly, so that the torque stays well below the one that would lift the vehicle off its support."""
-        if abs(drives.precession) < CENTRED:
+        if not self._fully:
+            self._trim_before = drives.trim_position
+        off = drives.trim_position - self._trim_before
+        if abs(drives.precession) < CENTRED and abs(off) < TRIM_BACK:
             return None
-        return Command(State.OPERATION_ENABLED, max(-CENTRE_RATE, min(CENTRE_RATE, -2.0 * drives.precession)))
+        rate = max(-CENTRE_RATE, min(CENTRE_RATE, -2.0 * drives.precession))
+        trim = max(-TRIM_RATE, min(TRIM_RATE, -2.0 * off)) if abs(off) >= TRIM_BACK else 0.0
+        return Command(State.OPERATION_ENABLED, rate, others=(trim,))
 
     def rise(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
         """The paper's step from rest, which is an excitation of its own."""
@@ -69,20 +93,39 @@ class GimbalHandling:
 
     def balance(self, dt: float, lean: Lean, drives: GimbalMeasurement, excitation: float) -> Command:
         """The LQI, with the excitation on the roll reference or on the precession rate."""
+        reference, output = (excitation, 0.0) if self._on_reference else (0.0, excitation)
+        self._upright += dt
+        if self._full is not None and self._upright > DECAYED:
+            return self._balance_fully(self._full, dt, lean, drives, reference, output)
         rate = self._controller.step(
-            lean.angle,
-            lean.rate,
-            drives.precession_rate,
-            drives.precession,
-            excitation if self._on_reference else 0.0,
-            dt,
-            0.0 if self._on_reference else excitation,
+            lean.angle, lean.rate, drives.precession_rate, drives.precession, reference, dt, output
         )
         return Command(State.OPERATION_ENABLED, rate, self._controller.reference, excitation)
+
+    def _balance_fully(
+        self, full: FullController, dt: float, lean: Lean, drives: GimbalMeasurement, reference: float, output: float
+    ) -> Command:
+        state = FullState(
+            lean.angle - reference,
+            lean.rate,
+            drives.trim_position,
+            drives.trim_rate,
+            drives.precession,
+            drives.precession_rate,
+        )
+        if not self._fully:
+            full.take_over(state, self._controller.setpoint)
+            self._fully = True
+        full.step(state, dt, output)
+        return Command(
+            State.OPERATION_ENABLED, full.setpoint, reference, reference + output, others=(full.trim_setpoint,)
+        )
 
     def lower(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
         """Onto the support it came from, unless that would turn the gimbals too far."""
         if self._lowering is None:
+            if self._full is not None and self._fully:
+                self._controller.take_over(lean.angle, lean.rate, drives.precession_rate, self._full.setpoint)
             travel = lowering_travel(self._parameters, self._support)
             side = lowering_side(self._side, drives.precession, travel, self._budget)
             self._lowering = Lowering(side * self._support, self._controller)

@@ -9,14 +9,16 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
+from models.control_design import CheckedDesign
 from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
 from vehicles.monocab.control.controller import RollController, design
+from vehicles.monocab.control.full import FullController, design_full
 from vehicles.monocab.control.rise import RiseFromRest, rise_rate
 from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import MonocabFile
+from vehicles.monocab.file import FULL, MonocabFile
 from vehicles.monocab.handling import GimbalHandling
 from vehicles.sections import REST
 
@@ -83,12 +85,13 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
 
 @dataclass(frozen=True, slots=True)
 class GimbalPilot:
-    """The LQI of a vehicle file, as designed."""
+    """The LQI of a vehicle file as designed: the reduced one, and the full one, None if no experiment uses it."""
 
     vehicle: MonocabFile
     design: RollDesign
+    full: CheckedDesign | None
 
-    def handling(self, excitation: Excitation) -> GimbalHandling:
+    def handling(self, excitation: Excitation, controller: str | None) -> GimbalHandling:
         """The step sets its own rate of rising; the other experiments use one with a margin."""
         vehicle, parameters = self.vehicle, self.design.parameters
         by_step = excitation.at == REST and excitation.peak > 0.0
@@ -100,13 +103,14 @@ class GimbalPilot:
             support=vehicle.support,
             budget=radians(vehicle.limits.precession_budget_deg),
             on_reference=excitation.on_reference,
+            full=FullController.from_design(self.full, vehicle) if self.full and controller == FULL else None,
         )
 
     def findings(self) -> dict[str, Any]:
-        return self.design.findings()
+        return self.design.findings() | ({FULL: self.full.findings()} if self.full else {})
 
     def words(self) -> list[str]:
-        return self.design.words()
+        return self.design.words() + (self.full.words(FULL) if self.full else [])
 
 
 class Monocab:
@@ -154,4 +158,6 @@ class Monocab:
         return []
 
     def pilot(self) -> GimbalPilot:
-        return GimbalPilot(self._vehicle, design(self._vehicle))
+        vehicle = self._vehicle
+        used = any(each.controller == FULL for each in vehicle.experiments.values())
+        return GimbalPilot(vehicle, design(vehicle), design_full(vehicle) if used else None)

@@ -11,7 +11,7 @@ from estimators.data.segments import SUPPORT_MARGIN
 from vehicles.excitation import Excitation, ExcitationError, make_excitation
 from vehicles.monocab.control.controller import RollController, design
 from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import MonocabFile
+from vehicles.monocab.file import FULL, REDUCED, MonocabFile
 from vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"roll", "roll_rate"})
@@ -30,9 +30,18 @@ GIVES = frozenset(
 
 
 def predictor(vehicle: MonocabFile) -> Callable[[str], Experiment]:
-    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
+    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible, or if
+    the trim mass takes part, whose motion no model predicts."""
     gains = design(vehicle)
-    return lambda name: _experiment(name, vehicle.experiments[name], vehicle, gains)
+
+    def predicted(name: str) -> Experiment:
+        if vehicle.experiments[name].controller == FULL:
+            raise ExcitationError(
+                f"experiments.{name}", "its trim mass moves, which is not predicted", remedy=f"use {REDUCED}."
+            )
+        return _experiment(name, vehicle.experiments[name], vehicle, gains)
+
+    return predicted
 
 
 def _experiment(name: str, section: ExperimentSection, vehicle: MonocabFile, gains: RollDesign) -> Experiment:

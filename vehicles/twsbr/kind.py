@@ -65,7 +65,7 @@ class WheelPilot:
     vehicle: TwsbrFile
     wheels: Wheels
 
-    def handling(self, excitation: Excitation) -> WheelHandling:
+    def handling(self, excitation: Excitation, controller: str | None) -> WheelHandling:
         vehicle = self.vehicle
         return WheelHandling(
             TiltController.of(vehicle),

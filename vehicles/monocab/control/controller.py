@@ -51,7 +51,7 @@ def design(vehicle: MonocabFile, *, spread: float = 0.2) -> RollDesign:
     """
     section = vehicle.controller
     weights = LqiWeights(
-        (section.roll_weight, section.roll_rate_weight, 0.0), section.integral_weight, section.effort_weight
+        (section.roll_weight, section.roll_rate_weight, 0.0), (section.integral_weight,), (section.effort_weight,)
     )
     parameters = MonocabParameters.from_values(vehicle.parameters.values)
     return design_roll_controller(parameters, weights, vehicle.period, spread=spread)
@@ -121,9 +121,9 @@ class RollController:
     )
 
     def __init__(self, gains: LqiGains, limits: SetpointLimits, precession_return: PrecessionReturn) -> None:
-        self._roll_gain, self._rate_gain, self._precession_gain = gains.states
-        self._previous_gain = gains.previous
-        self._integral_gain = gains.integral
+        ((self._roll_gain, self._rate_gain, self._precession_gain),) = gains.states
+        ((self._previous_gain,),) = gains.previous
+        ((self._integral_gain,),) = gains.integral
         self._rate = limits.rate
         self._acceleration = limits.acceleration
         self._return = precession_return
@@ -153,6 +153,13 @@ class RollController:
         self.reference = 0.0
         self.limited = False
         self.lean_on = True
+
+    def take_over(self, roll: float, roll_rate: float, precession_rate: float, setpoint: float) -> None:
+        """Take over from another controller of a vehicle that is upright: the setpoint it sent last (rad/s) would be
+        sent again."""
+        self.reset(setpoint)
+        held = self._roll_gain * roll + self._rate_gain * roll_rate + self._precession_gain * precession_rate
+        self._integral = -(setpoint + held + self._previous_gain * setpoint) / self._integral_gain
 
     def step(
         self,

@@ -7,11 +7,11 @@ roll torque, trim mass positive to the right):
                        + trim_mass * g * trim_position - trim_mass * trim_height * trim_position''
 
 `gravity_stiffness` is positive, so upright is unstable with the pole +sqrt(gravity_stiffness / inertia). Both servo
-axes follow their rate setpoint with one first-order lag, `speed_loop_lag` (four times the sum of small time constants).
+axes follow their rate setpoint with a lag, `speed_loop_lag` (four times the sum of small time constants).
 
 Source: Griese et al., "Parameter identification related to vertical dynamic of a self-stabilizing monorail vehicle",
 equations (1) to (3), with the sign of the gravity term corrected: the torque m g z of the text is negative for a centre
-of gravity above the rail, and the stiffness is its magnitude.
+of gravity above the rail, and the stiffness is its magnitude. Speed loops: Kessler, Regelungstechnik 6 (1958) 395.
 """
 
 from __future__ import annotations
@@ -97,28 +97,36 @@ def reduced_model(parameters: MonocabParameters) -> StateSpace:
 
 
 def full_model(parameters: MonocabParameters) -> StateSpace:
-    """The model with trim mass and precession angle. Equation (1), its z_M being minus `trim_height`."""
+    """The model with trim mass and precession angle. Equation (1), its z_M being minus `trim_height`.
+
+    A bandwidth near that of the speed loops needs more of them than one lag: they are PI loops by the symmetric
+    optimum, 1 / (1 + T s + T^2 s^2 / 2 + T^3 s^3 / 8) with T = `speed_loop_lag`. No drive reports their accelerations.
+    """
     inertia, lag = parameters.inertia, parameters.speed_loop_lag
-    reaction = parameters.trim_mass * parameters.trim_height / (lag * inertia)
-    gravity = parameters.gravity_stiffness / inertia
-    trim_weight = parameters.trim_mass * GRAVITY / inertia
-    gyroscope = parameters.angular_momentum / inertia
+    A, B = np.zeros((10, 10)), np.zeros((10, 2))
+    A[0, 1] = 1.0
+    A[1, [0, 2, 4, 7]] = (
+        parameters.gravity_stiffness / inertia,
+        parameters.trim_mass * GRAVITY / inertia,
+        -parameters.trim_mass * parameters.trim_height / inertia,
+        parameters.angular_momentum / inertia,
+    )
+    for number, angle in enumerate((2, 6)):
+        rate, acceleration, jerk = range(angle + 1, angle + 4)
+        A[angle, rate] = A[rate, acceleration] = A[acceleration, jerk] = 1.0
+        A[jerk, [rate, acceleration, jerk]] = -8.0 / lag**3, -8.0 / lag**2, -4.0 / lag
+        B[jerk, number] = 8.0 / lag**3
+    C = np.zeros((2, 10))
+    C[0, 0] = C[1, 6] = 1.0
+    axes = [(f"{axis}_{of}") for axis in ("trim", "precession") for of in ("rate", "acceleration", "jerk")]
     return StateSpace(
-        A=np.array(
-            [
-                [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-                [gravity, 0.0, trim_weight, reaction, 0.0, gyroscope],
-                [0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
-                [0.0, 0.0, 0.0, -1.0 / lag, 0.0, 0.0],
-                [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-                [0.0, 0.0, 0.0, 0.0, 0.0, -1.0 / lag],
-            ]
-        ),
-        B=np.array([[0.0, 0.0], [-reaction, 0.0], [0.0, 0.0], [1.0 / lag, 0.0], [0.0, 0.0], [0.0, 1.0 / lag]]),
-        C=np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]]),
-        states=("roll", "roll_rate", "trim_position", "trim_rate", "precession", "precession_rate"),
+        A=A,
+        B=B,
+        C=C,
+        states=("roll", "roll_rate", "trim_position", *axes[:3], "precession", *axes[3:]),
         inputs=("trim_rate_setpoint", "precession_rate_setpoint"),
         outputs=("roll", "precession"),
+        computed=tuple(name for name in axes if not name.endswith("rate")),
     )
 
 
