@@ -8,10 +8,12 @@ from math import degrees, expm1, radians
 
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
+from models.control_design import CheckedDesign
 from vehicles.excitation import Excitation, ExcitationError, make_excitation
 from vehicles.monocab.control.controller import RollController, design
+from vehicles.monocab.control.full import FullController, FullState, design_full, speed_loops
 from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, REDUCED, MonocabFile
+from vehicles.monocab.file import FULL, MonocabFile
 from vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"roll", "roll_rate"})
@@ -30,21 +32,15 @@ GIVES = frozenset(
 
 
 def predictor(vehicle: MonocabFile) -> Callable[[str], Experiment]:
-    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible, or if
-    the trim mass takes part, whose motion no model predicts."""
-    gains = design(vehicle)
-
-    def predicted(name: str) -> Experiment:
-        if vehicle.experiments[name].controller == FULL:
-            raise ExcitationError(
-                f"experiments.{name}", "its trim mass moves, which is not predicted", remedy=f"use {REDUCED}."
-            )
-        return _experiment(name, vehicle.experiments[name], vehicle, gains)
-
-    return predicted
+    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
+    reduced = design(vehicle)
+    full = design_full(vehicle) if any(each.controller == FULL for each in vehicle.experiments.values()) else None
+    return lambda name: _experiment(name, vehicle.experiments[name], vehicle, reduced, full)
 
 
-def _experiment(name: str, section: ExperimentSection, vehicle: MonocabFile, gains: RollDesign) -> Experiment:
+def _experiment(
+    name: str, section: ExperimentSection, vehicle: MonocabFile, reduced: RollDesign, full: CheckedDesign | None
+) -> Experiment:
     excitation = make_excitation(section, float(vehicle.control.rate))
     limits = vehicle.limits
     upright = min(vehicle.support - SUPPORT_MARGIN, radians(limits.roll_deg))
@@ -54,25 +50,66 @@ def _experiment(name: str, section: ExperimentSection, vehicle: MonocabFile, gai
         if duration >= section.duration:
             return None
         try:
-            return _experiment(name, section.model_copy(update={"duration": duration}), vehicle, gains)
+            return _experiment(name, section.model_copy(update={"duration": duration}), vehicle, reduced, full)
         except ExcitationError:
             return None
 
+    controller = partial(_loop, vehicle, reduced, excitation)
+    if full is not None and section.controller == FULL:
+        controller = partial(_full_loop, vehicle, full, excitation)
     return Experiment(
         name=name,
         parameters=section.model_dump(exclude_none=True, exclude={"title"}),
         duration=excitation.duration,
         period=vehicle.period,
-        controller=partial(_loop, vehicle, gains, excitation),
+        controller=controller,
         limits=(
             Limit("roll", upright, "deg", "at which the supports carry", turn),
             Limit("roll_rate", radians(limits.roll_rate_deg), "deg/s", "of limits.roll_rate_deg", turn),
             Limit("precession", radians(limits.precession_budget_deg), "deg", "of limits.precession_budget_deg", turn),
             Limit("precession_rate_setpoint", limits.precession_rate, "rad/s", "of limits.precession_rate"),
             Limit("setpoint_slope", limits.precession_acceleration, "rad/s^2", "of limits.precession_acceleration"),
+            Limit("trim_position", limits.trim_position, "m", "of limits.trim_position"),
         ),
         shorter=shorter,
     )
+
+
+def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitation) -> Controller:
+    """The full controller with the excitation in it, and gimbals and trim mass, for models whose input is their motion.
+
+    Their drives follow as the controller computes it.
+    """
+    controller = FullController.from_design(design, vehicle)
+    controller.take_over(FullState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0)
+    trim, gimbals = speed_loops(design.gains)
+    period = vehicle.period
+    trim_position = precession = 0.0
+
+    def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
+        nonlocal trim_position, precession
+        value, before = excitation.value(time), controller.setpoint
+        reference, output = (value, 0.0) if excitation.on_reference else (0.0, value)
+        precession = seen.get("precession", precession)
+        rate = seen.get("precession_rate", gimbals.rate)
+        state = FullState(seen["roll"] - reference, seen["roll_rate"], trim_position, trim.rate, precession, rate)
+        controller.step(state, period, output)
+        trim_before, rate_before = trim.rate, gimbals.rate
+        trim.step(controller.trim_setpoint)
+        gimbals.step(controller.setpoint)
+        trim_position += 0.5 * period * (trim_before + trim.rate)
+        precession += 0.5 * period * (rate_before + gimbals.rate)
+        return {
+            "precession_rate_setpoint": controller.setpoint,
+            "precession_rate": gimbals.rate,
+            "precession": precession,
+            "trim_position": trim_position,
+            "trim_rate": trim.rate,
+            "trim_rate_setpoint": controller.trim_setpoint,
+            "setpoint_slope": (controller.setpoint - before) / period,
+        }
+
+    return step
 
 
 def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation) -> Controller:

@@ -94,6 +94,17 @@ class SpeedLoop:
         )
 
 
+def speed_loops(gains: LqiGains) -> tuple[SpeedLoop, SpeedLoop]:
+    """Those of trim mass and gimbals, at rest, as a controller with these gains computes them."""
+    computed = gains.computed
+    assert computed is not None
+    trim, gimbals = (
+        SpeedLoop(computed.transition[part, part].tolist(), computed.inputs[part, number].tolist())
+        for number, part in enumerate((slice(0, 3), slice(3, 6)))
+    )
+    return trim, gimbals
+
+
 @dataclass(frozen=True, slots=True)
 class FullState:
     """What is measured, in the order of the model's states."""
@@ -131,13 +142,7 @@ class FullController:
         self._gains = tuple(map(tuple, gains.matrix.tolist()))
         (a, b), (c, d) = np.linalg.inv(np.array(gains.integral)).tolist()
         self._per_setpoint = ((a, b), (c, d))
-        computed = gains.computed
-        assert computed is not None
-        parts = (slice(0, 3), slice(3, 6))
-        self._loops = tuple(
-            SpeedLoop(computed.transition[part, part].tolist(), computed.inputs[part, number].tolist())
-            for number, part in enumerate(parts)
-        )
+        self._loops = speed_loops(gains)
         self._limits, self._trim = limits, trim
         self._of_roll = self._of_precession = 0.0
         self.trim_setpoint = self.setpoint = 0.0
