@@ -78,6 +78,7 @@ ARMED = [
     (axes(precession_rate=-1.6), MonocabCode.PRECESSION_RATE, ("-91.67 deg/s",)),
     (axes(gimbal_mismatch=0.1), MonocabCode.GIMBAL_MISMATCH, ("5.73 deg",)),
     (axes(trim_position=-0.31), MonocabCode.TRIM_POSITION, ("-0.310 m", "0.300 m")),
+    (axes(trim_rate=0.16), MonocabCode.TRIM_RATE, ("trim mass rate of 0.160 m/s", "0.150 m/s")),
     (axes(trim_position=NAN), Code.NOT_FINITE, ("trim",)),
     (field(late_cycles=3), Code.DEADLINE, ("3 control cycles", "4 ms")),
 ]

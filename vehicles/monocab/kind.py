@@ -32,12 +32,13 @@ class MonocabCode(StrEnum):
     PRECESSION_RATE = "precession_rate"
     GIMBAL_MISMATCH = "gimbal_mismatch"
     TRIM_POSITION = "trim_position"
+    TRIM_RATE = "trim_rate"
     PRECESSION_BUDGET = "precession_budget"
 
 
 METRES = Unit("m", digits=3)
 RATE_MARGIN = 1.5
-"""How far the measured precession rate may exceed the setpoint's limit: the speed loop overshoots a little."""
+"""How far the measured rate of an axis may exceed the setpoint's limit: the speed loop overshoots a little."""
 
 
 def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
@@ -69,7 +70,14 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
             "trim mass position",
             "axes.trim_position",
             limits.trim_position,
-            Unit("m", digits=3),
+            METRES,
+        ),
+        Bound(
+            MonocabCode.TRIM_RATE,
+            "trim mass rate",
+            "axes.trim_rate",
+            RATE_MARGIN * limits.trim_rate,
+            Unit("m/s", digits=3),
         ),
         Bound(
             MonocabCode.PRECESSION_BUDGET,
