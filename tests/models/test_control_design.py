@@ -15,11 +15,10 @@ from models.control_design import (
     StateSpace,
     closed_loop,
     continuous_poles,
-    corners,
     design_lqi,
     discretise,
-    margins,
 )
+from models.control_robustness import Estimated, Spread, checked_design, corners, margins
 from vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
 from vehicles.monocab.control.roll_design import UNCERTAIN, design_roll_controller
 
@@ -122,7 +121,7 @@ def test_loop_becomes_unstable_just_beyond_its_margins(rate: int) -> None:
 @pytest.mark.parametrize("rate", RATES)
 def test_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) -> None:
     design = design_roll_controller(CAD, WEIGHTS, 1.0 / rate)
-    every = list(corners(_at, UNCERTAIN, design.gains, 0.2))
+    every = list(corners(_at, Spread(UNCERTAIN), design.gains))
     assert len(every) == 2 * 2**3
     assert design.worst.damping == min(corner.damping for corner in every)
     assert design.worst.damping > 0.1
@@ -138,6 +137,46 @@ def test_controller_unstable_at_a_corner_is_refused_and_the_corner_named() -> No
     ) as caught:
         design_roll_controller(CAD, aggressive, 0.02, spread=0.2)
     assert "effort_weight" in caught.value.remedy
+
+
+TOGETHER = ("inertia", "gravity_stiffness")
+
+
+def estimated(std: float, correlation: float = 0.0) -> Estimated:
+    """Both parameters with the same relative standard deviation."""
+    values = np.array([getattr(CAD, name) for name in TOGETHER])
+    relative = std**2 * np.array([[1.0, correlation], [correlation, 1.0]])
+    return Estimated(TOGETHER, values, relative * np.outer(values, values))
+
+
+def test_estimates_are_checked_over_their_region_and_draws() -> None:
+    points = [dict(each) for each in estimated(0.05).points()]
+    assert len(points) == 4 + 4 + 1000
+    off = np.array([[each[name] - 1.0 for name in TOGETHER] for each in points]) / 0.05
+    # 95 % of two independent unit deviates lie within 2.448 of zero.
+    assert np.hypot(*off[:8].T) == pytest.approx(2.4477, rel=1e-3)
+    assert np.mean(np.hypot(*off[8:].T) < 2.4477) == pytest.approx(0.95, abs=0.02)
+    design = checked_design(_at, estimated(0.05), WEIGHTS, 0.004)
+    assert design.worst.damping > 0.2
+    assert "95 % region and 1000 draws" in design.words()[-1]
+
+
+def test_correlated_estimates_are_off_together() -> None:
+    off = np.array([[factor - 1.0 for _, factor in each] for each in estimated(0.05, 0.9).points()])
+    assert np.corrcoef(off[8:].T)[0, 1] == pytest.approx(0.9, abs=0.02)
+
+
+def test_controller_that_estimates_do_not_support_is_refused_with_the_point() -> None:
+    aggressive = LqiWeights((4.0e8, 1.0e6, 0.0), (4.0e8,), (1.0,))
+    with pytest.raises(ControlDesignError, match=r"unstable within the estimates' 95 % region.*inertia x") as caught:
+        checked_design(_at, estimated(0.08), aggressive, 0.02)
+    assert "effort_weight" in caught.value.remedy
+
+
+def test_estimate_that_may_have_the_other_sign_is_refused() -> None:
+    with pytest.raises(ControlDesignError, match="is too uncertain for a controller") as caught:
+        checked_design(_at, estimated(0.6), WEIGHTS, 0.004)
+    assert "identify again" in caught.value.remedy
 
 
 def test_model_with_an_uncontrollable_mode_is_refused() -> None:

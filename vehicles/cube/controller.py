@@ -18,7 +18,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from models.control_design import CheckedDesign, LqiGains, LqiWeights, StateSpace, checked_design
+from models.control_design import LqiGains, LqiWeights, StateSpace
+from models.control_robustness import CheckedDesign, Spread, checked_design
 from vehicles.cube.file import CubeFile
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "wheel_inertia")
@@ -55,7 +56,7 @@ def design(vehicle: CubeFile) -> CheckedDesign:
         return linear_model({**known, **{name: factor * known[name] for name, factor in factors.items()}})
 
     weights = LqiWeights(states, (section.integral_weight,), (section.effort_weight,))
-    return checked_design(at, UNCERTAIN, weights, vehicle.period)
+    return checked_design(at, Spread(UNCERTAIN), weights, vehicle.period)
 
 
 class WheelController:

@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from models.control_design import CheckedDesign
+from models.control_robustness import CheckedDesign
 from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.cube.axes import Wheel, WheelMeasurement

@@ -8,7 +8,7 @@ from math import degrees, expm1, radians
 
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
-from models.control_design import CheckedDesign
+from models.control_robustness import CheckedDesign
 from vehicles.excitation import Excitation, ExcitationError, make_excitation
 from vehicles.monocab.control.controller import RollController, design
 from vehicles.monocab.control.full import FullController, FullState, design_full, speed_loops

@@ -28,7 +28,8 @@ from operator import mul
 
 import numpy as np
 
-from models.control_design import CheckedDesign, LqiGains, LqiWeights, StateSpace, checked_design
+from models.control_design import LqiGains, LqiWeights, StateSpace
+from models.control_robustness import CheckedDesign, Spread, checked_design
 from vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
 from vehicles.monocab.control.linear_model import MonocabParameters, full_model
 from vehicles.monocab.control.roll_design import UNCERTAIN
@@ -67,7 +68,7 @@ def design_full(vehicle: MonocabFile, *, spread: float = 0.2) -> CheckedDesign:
         (section.roll_integral_weight, section.precession_integral_weight),
         (section.trim_effort_weight, section.effort_weight),
     )
-    return checked_design(at, UNCERTAIN, weights, vehicle.period, spread=spread)
+    return checked_design(at, Spread(UNCERTAIN, spread), weights, vehicle.period)
 
 
 class SpeedLoop:

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from models.control_design import CheckedDesign, LqiWeights, StateSpace, checked_design
+from models.control_design import LqiWeights, StateSpace
+from models.control_robustness import CheckedDesign, Spread, checked_design
 from vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")
@@ -34,5 +35,5 @@ def design_roll_controller(
         values = {name: factor * float(getattr(parameters, name)) for name, factor in factors.items()}
         return reduced_model(replace(parameters, **values))
 
-    found = checked_design(at, UNCERTAIN, weights, period, spread=spread)
-    return RollDesign(found.gains, found.poles, found.margins, found.worst, found.spread, parameters)
+    found = checked_design(at, Spread(UNCERTAIN, spread), weights, period)
+    return RollDesign(found.gains, found.poles, found.margins, found.worst, found.within, parameters)
