@@ -72,7 +72,8 @@ class StateSpace:
 @dataclass(frozen=True, slots=True)
 class Computed:
     """How a controller computes the states z (k,) that nothing measures, and those they depend on: one period later
-    they are transition z + inputs u_before. z are the model's states `places`, of which `used` are not measured."""
+    they are transition z + inputs u_before, with `transition` (k, k) and `inputs` (k, m). z are the model's states
+    `places`, of which `used` are not measured."""
 
     transition: Matrix
     inputs: Matrix
@@ -83,10 +84,10 @@ class Computed:
     def of(cls, model: StateSpace, period: float) -> Computed:
         """For the `computed` states of a model. Raises ControlDesignError if they do not decay by themselves."""
         used = [model.states.index(name) for name in model.computed]
-        places = set(used)
-        while (more := {int(j) for i in places for j in np.flatnonzero(model.A[i])} | places) != places:
-            places = more
-        chosen = sorted(places)
+        chosen, before = sorted(used), list[int]()
+        while chosen != before:  # with all that these depend on
+            before = chosen
+            chosen = sorted({*before, *np.flatnonzero(model.A[before].any(axis=0)).tolist()})
         A = model.A[np.ix_(chosen, chosen)]
         if len(A) and max(np.linalg.eigvals(A).real) >= 0.0:
             names = ", ".join(model.computed)

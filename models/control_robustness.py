@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, log
 from typing import Any, Protocol
 
 import numpy as np
@@ -146,6 +146,10 @@ class CheckedDesign:
     margins: Mapping[str, Margins]
     worst: Corner
     within: str
+
+    def settling(self, share: float) -> float:
+        """s in which the slowest motion of the nominal closed loop decays to `share` of its amplitude."""
+        return log(share) / self.poles[0].real
 
     def findings(self) -> dict[str, Any]:
         """The smallest margins of all inputs (phase in rad, delay in s) and the worst corner, JSON-ready."""

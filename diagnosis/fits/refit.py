@@ -49,7 +49,8 @@ by more than a fifth of its standard deviation, and log-likelihood ratios are co
 LEAST = 0.05
 """Fall of the cost below which a quick fit makes no further step."""
 ROUGH = 0.01
-"""Share of what the best effect explains to which a quick fit is accurate: it decides which of them explain most."""
+"""Share of what the best effect explains to which a quick fit is accurate: a fiftieth of what it decides, whether an
+effect explains half as much (diagnosis.search.contenders)."""
 CREEPING = 1.0
 """Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 

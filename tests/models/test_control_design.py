@@ -29,7 +29,7 @@ RATES = (100, 250, 500)
 
 
 def _at(factors: Mapping[str, float]) -> StateSpace:
-    return reduced_model(replace(CAD, **{name: factor * getattr(CAD, name) for name, factor in factors.items()}))
+    return reduced_model(CAD.scaled(factors))
 
 
 def simulate(parameters: MonocabParameters, gains: LqiGains, seconds: float, delay: int) -> list[float]:

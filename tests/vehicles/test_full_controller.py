@@ -10,6 +10,7 @@ import pytest
 
 from diagnosis.prediction.closed_loop import simulate
 from models.control_design import ControlDesignError, LqiWeights, StateSpace, closed_loop, design_lqi, discretise
+from models.gravity import GRAVITY
 from service.virtual.run import record
 from telemetry.recording import Recording
 from vehicles import registry
@@ -53,18 +54,19 @@ def during(recording: Recording, channel: str, *phases: Phase) -> np.ndarray:
 
 
 class TestFigure4:
-    """The figures are the paper's, but that the person sits down within 0.3 s: then the vehicle rolls by 0.14 deg."""
+    """A person sits down as in the paper, but within 0.3 s."""
 
     def test_gyroscopes_carry_the_load_at_once(self) -> None:
-        roll = np.degrees(
-            np.abs(np.concatenate([during(loaded(), "roll", each) for each in (Phase.SETTLE, Phase.EXCITE)]))
-        )
-        assert np.max(roll[500:]) < 0.2
-        assert np.max(np.degrees(np.abs(during(loaded(), "precession", Phase.EXCITE)))) < 15.0
+        recording = loaded()
+        upright = recording.time[np.argmax(recording["phase"] == Phase.SETTLE)]
+        later = (recording.time > upright + 2.0) & np.isin(recording["phase"], (Phase.SETTLE, Phase.EXCITE))
+        assert np.degrees(np.max(np.abs(recording["roll"][later]))) == pytest.approx(0.13, abs=0.01)
+        assert np.degrees(np.max(np.abs(recording["precession"][later]))) == pytest.approx(13.0, abs=1.0)
 
     def test_trim_mass_takes_the_load_over(self) -> None:
         trim = during(loaded(), "trim_position", Phase.EXCITE)
-        expected = -PERSON / (parameters().trim_mass * 9.81)
+        expected = -PERSON / (parameters().trim_mass * GRAVITY)
+        assert expected == pytest.approx(-0.112, abs=5e-4)
         assert trim[-1] == pytest.approx(expected, rel=0.03)
 
     def test_trim_mass_overshoots_to_bring_the_gimbals_back(self) -> None:
@@ -121,7 +123,7 @@ def test_taking_over_and_handing_back_leave_no_bump() -> None:
     upright = np.isin(recording["phase"], (Phase.SETTLE, Phase.EXCITE, Phase.FADE))
     both = np.flatnonzero(upright)
     taken = both[np.argmax(np.abs(recording["trim_rate_setpoint"][both]) > 0.0)]
-    assert recording.time[taken] - recording.time[both[0]] == pytest.approx(1.5, abs=0.3)
+    assert recording.time[taken] - recording.time[both[0]] == pytest.approx(1.1, abs=0.1)
     assert np.max(changes[taken - 3 : taken + 3]) < 2.0 * usual
     assert np.max(changes[both[-1] - 2 : both[-1] + 3]) < 2.0 * usual
 

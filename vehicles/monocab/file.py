@@ -121,7 +121,12 @@ class MonocabFile(VehicleFile):
 
     @model_validator(mode="after")
     def _full_controller_has_a_trim_mass(self) -> Self:
-        full = [name for name, each in self.experiments.items() if each.controller == FULL]
-        if full and not any(drive.role == "trim" for drive in self.drive):
-            raise ValueError(f'experiments.{full[0]}: controller = "{FULL}" needs a trim mass: add its drive')
+        if self.full_experiments and not any(drive.role == "trim" for drive in self.drive):
+            name = self.full_experiments[0]
+            raise ValueError(f'experiments.{name}: controller = "{FULL}" needs a trim mass: add its drive')
         return self
+
+    @property
+    def full_experiments(self) -> list[str]:
+        """Names of the experiments that the full controller balances."""
+        return [name for name, each in self.experiments.items() if each.controller == FULL]

@@ -24,17 +24,19 @@ CENTRED = 0.005
 """rad of precession that counts as the middle."""
 
 TRIM_RATE = 0.03
-"""m/s, at rest."""
+"""m/s, at rest. A trim mass of 500 kg at 0.4 m that reaches it within 0.08 s reacts with 75 N m, less than a tenth of
+what would lift the vehicle off its support."""
 
 TRIM_BACK = 0.001
-"""m from its place before that counts as back."""
+"""m from its place before that counts as back: 5 N m of 500 kg."""
 
-DECAYED = 1.5
-"""s upright after which the full controller takes over."""
+DECAYED = 0.01
+"""Share to which the motion of getting up has decayed when the full controller takes over."""
 
 
 class GimbalHandling:
-    """Setpoints are precession rates, rad/s. `support` and `budget` (of precession) in rad."""
+    """Setpoints are precession rates, rad/s, and those of the trim mass, m/s. `support` and `budget` (of precession) in
+    rad. `full` takes over after `settling` s upright; None if the reduced controller stays."""
 
     def __init__(
         self,
@@ -45,7 +47,8 @@ class GimbalHandling:
         support: float,
         budget: float,
         on_reference: bool,
-        full: FullController | None = None,
+        full: FullController | None,
+        settling: float,
     ) -> None:
         self._controller = controller
         self._rise = rise
@@ -54,6 +57,7 @@ class GimbalHandling:
         self._budget = budget
         self._on_reference = on_reference
         self._full = full
+        self._settling = settling
         self._upright, self._fully = 0.0, False
         self._trim_before = 0.0
         self._side = 0.0
@@ -93,18 +97,19 @@ class GimbalHandling:
 
     def balance(self, dt: float, lean: Lean, drives: GimbalMeasurement, excitation: float) -> Command:
         """The LQI, with the excitation on the roll reference or on the precession rate."""
-        reference, output = (excitation, 0.0) if self._on_reference else (0.0, excitation)
         self._upright += dt
-        if self._full is not None and self._upright > DECAYED:
-            return self._balance_fully(self._full, dt, lean, drives, reference, output)
+        if self._full is not None and self._upright > self._settling:
+            return self._balance_fully(self._full, dt, lean, drives, excitation)
+        reference, output = (excitation, 0.0) if self._on_reference else (0.0, excitation)
         rate = self._controller.step(
             lean.angle, lean.rate, drives.precession_rate, drives.precession, reference, dt, output
         )
         return Command(State.OPERATION_ENABLED, rate, self._controller.reference, excitation)
 
     def _balance_fully(
-        self, full: FullController, dt: float, lean: Lean, drives: GimbalMeasurement, reference: float, output: float
+        self, full: FullController, dt: float, lean: Lean, drives: GimbalMeasurement, excitation: float
     ) -> Command:
+        reference, output = (excitation, 0.0) if self._on_reference else (0.0, excitation)
         state = FullState(
             lean.angle - reference,
             lean.rate,
@@ -117,9 +122,7 @@ class GimbalHandling:
             full.take_over(state, self._controller.setpoint)
             self._fully = True
         full.step(state, dt, output)
-        return Command(
-            State.OPERATION_ENABLED, full.setpoint, reference, reference + output, others=(full.trim_setpoint,)
-        )
+        return Command(State.OPERATION_ENABLED, full.setpoint, reference, excitation, others=(full.trim_setpoint,))
 
     def lower(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
         """Onto the support it came from, unless that would turn the gimbals too far."""

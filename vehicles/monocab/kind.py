@@ -19,7 +19,7 @@ from vehicles.monocab.control.full import FullController, design_full
 from vehicles.monocab.control.rise import RiseFromRest, rise_rate
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import FULL, MonocabFile
-from vehicles.monocab.handling import GimbalHandling
+from vehicles.monocab.handling import DECAYED, GimbalHandling
 from vehicles.sections import REST
 
 
@@ -112,6 +112,7 @@ class GimbalPilot:
             budget=radians(vehicle.limits.precession_budget_deg),
             on_reference=excitation.on_reference,
             full=FullController.from_design(self.full, vehicle) if self.full and controller == FULL else None,
+            settling=self.design.settling(DECAYED),
         )
 
     def findings(self) -> dict[str, Any]:
@@ -167,5 +168,4 @@ class Monocab:
 
     def pilot(self) -> GimbalPilot:
         vehicle = self._vehicle
-        used = any(each.controller == FULL for each in vehicle.experiments.values())
-        return GimbalPilot(vehicle, design(vehicle), design_full(vehicle) if used else None)
+        return GimbalPilot(vehicle, design(vehicle), design_full(vehicle) if vehicle.full_experiments else None)

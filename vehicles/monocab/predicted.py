@@ -34,7 +34,7 @@ GIVES = frozenset(
 def predictor(vehicle: MonocabFile) -> Callable[[str], Experiment]:
     """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
     reduced = design(vehicle)
-    full = design_full(vehicle) if any(each.controller == FULL for each in vehicle.experiments.values()) else None
+    full = design_full(vehicle) if vehicle.full_experiments else None
     return lambda name: _experiment(name, vehicle.experiments[name], vehicle, reduced, full)
 
 

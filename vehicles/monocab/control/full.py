@@ -21,14 +21,14 @@ Signs: see `vehicles.monocab.control.linear_model`. Angles in rad, rates in rad/
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import sqrt
 from operator import mul
 
 import numpy as np
 
-from models.control_design import LqiGains, LqiWeights, StateSpace
+from models.control_design import LqiGains, LqiWeights
 from models.control_robustness import CheckedDesign, Spread, checked_design
 from vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
 from vehicles.monocab.control.linear_model import MonocabParameters, full_model
@@ -36,7 +36,8 @@ from vehicles.monocab.control.roll_design import UNCERTAIN
 from vehicles.monocab.file import MonocabFile
 
 TRAVEL = 0.9
-"""Share of `limits.trim_position` that the controller uses: at the limit itself the run is stopped."""
+"""Share of `limits.trim_position` that the controller uses: at the limit itself the run is stopped. Chosen, not
+measured: it leaves room for the lag of the drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +54,6 @@ def design_full(vehicle: MonocabFile, *, spread: float = 0.2) -> CheckedDesign:
     """
     section = vehicle.full_controller
     parameters = MonocabParameters.from_values(vehicle.parameters.values)
-
-    def at(factors: Mapping[str, float]) -> StateSpace:
-        values = {name: factor * float(getattr(parameters, name)) for name, factor in factors.items()}
-        return full_model(replace(parameters, **values))
-
     weights = LqiWeights(
         (
             section.roll_weight,
@@ -68,7 +64,9 @@ def design_full(vehicle: MonocabFile, *, spread: float = 0.2) -> CheckedDesign:
         (section.roll_integral_weight, section.precession_integral_weight),
         (section.trim_effort_weight, section.effort_weight),
     )
-    return checked_design(at, Spread(UNCERTAIN, spread), weights, vehicle.period)
+    return checked_design(
+        lambda factors: full_model(parameters.scaled(factors)), Spread(UNCERTAIN, spread), weights, vehicle.period
+    )
 
 
 class SpeedLoop:
@@ -121,8 +119,7 @@ class FullState:
 class FullController:
     """Holds the vehicle up with both actuators: the measured state in, both setpoints out.
 
-    `trim_setpoint` and `setpoint` (precession) are the outputs of the last step; `limited` whether a limit reduced one
-    of them.
+    `trim_setpoint` and `setpoint` (precession) are the outputs of the last step.
     """
 
     __slots__ = (
@@ -133,7 +130,6 @@ class FullController:
         "_of_roll",
         "_per_setpoint",
         "_trim",
-        "limited",
         "setpoint",
         "trim_setpoint",
     )
@@ -147,7 +143,6 @@ class FullController:
         self._limits, self._trim = limits, trim
         self._of_roll = self._of_precession = 0.0
         self.trim_setpoint = self.setpoint = 0.0
-        self.limited = False
 
     @classmethod
     def from_design(cls, design: CheckedDesign, vehicle: MonocabFile) -> FullController:
@@ -169,7 +164,6 @@ class FullController:
         self._of_roll = self._of_precession = 0.0
         trim_wanted, wanted = self._wanted(state)
         self._of_roll, self._of_precession = self._in_integrals(trim_wanted, wanted - setpoint)
-        self.limited = False
 
     def step(self, state: FullState, dt: float, excitation: float = 0.0) -> None:
         """One cycle, after which `trim_setpoint` and `setpoint` are the new ones. `state.roll` is the difference from
@@ -186,14 +180,10 @@ class FullController:
         slowest = -sqrt(2.0 * trim.acceleration * max(0.0, trim.travel + state.trim_position))
         trim_setpoint = min(fastest, max(slowest, _within(trim_wanted, self.trim_setpoint, trim, dt)))
         setpoint = _within(wanted, self.setpoint, self._limits, dt)
-        self._of_roll += dt * state.roll
-        self._of_precession += dt * state.precession
-        self.limited = trim_setpoint != trim_wanted or setpoint != wanted
-        if self.limited:
-            share = min(1.0, dt / WINDUP_TIME)
-            of_roll, of_precession = self._in_integrals(trim_wanted - trim_setpoint, wanted - setpoint)
-            self._of_roll += share * of_roll
-            self._of_precession += share * of_precession
+        of_roll, of_precession = self._in_integrals(trim_wanted - trim_setpoint, wanted - setpoint)
+        share = min(1.0, dt / WINDUP_TIME)
+        self._of_roll += dt * state.roll + share * of_roll
+        self._of_precession += dt * state.precession + share * of_precession
         self.trim_setpoint, self.setpoint = trim_setpoint, setpoint
 
     def _wanted(self, state: FullState) -> tuple[float, float]:

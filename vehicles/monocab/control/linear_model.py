@@ -17,7 +17,7 @@ of gravity above the rail, and the stiffness is its magnitude. Speed loops: Kess
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import isfinite, sqrt
 
 import numpy as np
@@ -66,6 +66,10 @@ class MonocabParameters:
             if field.name not in values:
                 raise ParameterError(field.name, "missing")
         return cls(**{field.name: float(values[field.name]) for field in fields(cls)})
+
+    def scaled(self, factors: Mapping[str, float]) -> MonocabParameters:
+        """The same with some parameters, by name, times a factor. Raises ParameterError."""
+        return replace(self, **{name: factor * float(getattr(self, name)) for name, factor in factors.items()})
 
     @property
     def unstable_pole(self) -> float:

@@ -5,10 +5,9 @@ Source: Griese et al., section II; the design itself is models.control_design.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from models.control_design import LqiWeights, StateSpace
+from models.control_design import LqiWeights
 from models.control_robustness import CheckedDesign, Spread, checked_design
 from vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
@@ -30,10 +29,7 @@ def design_roll_controller(
 
     Weights are of [roll, roll_rate, precession_rate]. Raises ControlDesignError.
     """
-
-    def at(factors: Mapping[str, float]) -> StateSpace:
-        values = {name: factor * float(getattr(parameters, name)) for name, factor in factors.items()}
-        return reduced_model(replace(parameters, **values))
-
-    found = checked_design(at, Spread(UNCERTAIN, spread), weights, period)
+    found = checked_design(
+        lambda factors: reduced_model(parameters.scaled(factors)), Spread(UNCERTAIN, spread), weights, period
+    )
     return RollDesign(found.gains, found.poles, found.margins, found.worst, found.within, parameters)
