@@ -27,10 +27,10 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.whitened import BLOCK
 from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import FAILURES, tried
+from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
 from estimators.data.time_scale import horizon, time_scale
-from estimators.fit.maximum_likelihood import Begin, Fit, fit
+from estimators.fit.maximum_likelihood import Begin, fit
 from models.attach import starts
 from models.model import Model
 from models.parts import Place
@@ -39,9 +39,8 @@ Array = NDArray[np.float64]
 
 START = 2
 """Index among the starts of an effect: between the smallest and the largest usual value."""
-TRIED = 7
-"""Steps of the first fit from each shape of an effect whose parts collide: by then, those that started far from the
-right shape are hundreds of nats behind."""
+TRIED = 10
+"""Steps of the first fit from each shape of an effect whose parts collide."""
 FITTED = 2
 """Number of these fits, the likeliest, that are continued."""
 ALMOST = 0.9
@@ -103,22 +102,29 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
 
     An impact that comes a sample early or late costs as much as one that was not predicted at all. So fits end hundreds
     of nats apart, of thousands that they explain, and some of them with a filter that each impact throws off. The
-    two starts of the noise are compared with the first shape only. The other shapes start with the noise and the
-    initial states of its fit.
+    two starts of the noise are compared with the first shape only. The other shapes start with the noise of its fit.
     """
     starts = [with_effect(base.model, candidate, shape) for shape in candidate.variants]
     workspace.problem(starts[0])  # compiled before two threads need it
 
-    def first_fit(start: Model, near: Fit | None = None) -> Fit | None:
-        return tried(lambda: fit(workspace.problem(start), iterations=TRIED, near=near, enough=CREEPING))
+    def tried(start: Model, begin: Begin | None = None) -> tuple[float, Begin] | None:
+        try:
+            found = fit(workspace.problem(start), iterations=TRIED, begin=begin, enough=CREEPING)
+        except FAILURES:
+            return None
+        return log_likelihood(found) - off_prior(found), found.end
 
     def fitted(end: Begin) -> FullFit | None:
-        return tried(partial(_as_evident, base, starts[0], workspace, candidate, end))
+        try:
+            return _as_evident(base, starts[0], workspace, candidate, end)
+        except FAILURES:
+            return None
 
-    first = first_fit(starts[0])
-    begun = [each for each in (first, *side_by_side(partial(first_fit, near=first), starts[1:])) if each is not None]
-    begun.sort(key=lambda each: off_prior(each) - log_likelihood(each))
-    ends = side_by_side(fitted, [each.end for each in begun[:FITTED]])
+    first = tried(starts[0])
+    begin = None if first is None else Begin({}, first[1].noise)
+    near = [each for each in (first, *side_by_side(partial(tried, begin=begin), starts[1:])) if each is not None]
+    near.sort(key=lambda each: -each[0])
+    ends = side_by_side(fitted, [end for _, end in near[:FITTED]])
     found = [each for each in ends if each is not None and each.fit.minimum.converged]
     most = max((each.log_likelihood - base.log_likelihood for each in found), default=0.0)
     almost = [each for each in found if each.log_likelihood - base.log_likelihood >= ALMOST * most]

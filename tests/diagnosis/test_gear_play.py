@@ -67,7 +67,7 @@ def diagnosed(recording: Path, vehicle: Path) -> Any:
     return upright("diagnose", recording, "--vehicle", vehicle, "--budget", "inf", *names)
 
 
-@pytest.mark.parametrize("seed", of_many([SEED, RATTLES], SEED))
+@pytest.mark.parametrize("seed", of_many([SEED, SEED + 1, RATTLES], SEED))
 def test_backlash_of_the_gears_is_found_with_its_width(vehicle: Path, seed: int) -> None:
     found = diagnosed(recorded("square", vehicle, "backlash", seed=seed), vehicle)
     assert found["verdict"] == "missing_effect", found["reason"]
