@@ -71,6 +71,7 @@ LIMITS = {
     "gimbal_mismatch_deg": ("gimbal mismatch", "deg"),
     "trim_position": ("trim position", "m"),
     "trim_rate": ("trim rate", "m/s"),
+    "trim_acceleration": ("trim acceleration", "m/s²"),
 }
 
 VIEWS = Views(CHARTS, STORY, "rad/s", LIMITS)
