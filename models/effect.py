@@ -114,11 +114,12 @@ class Effect:
     adds energy. `impacts`: parts collide, so that its behaviour at a small amplitude says nothing about that at a
     larger one. `stiff`: its own motion is much faster than the sampling. `sets_in`: it may set in during a run; a
     property of the machine's construction does not. `onset_of`: the other effect of which it is the onset at one
-    instant. `formula_error`: the share of what it explains that its formula may leave unexplained, or that a second
-    effect may explain merely by bending the formula; 0 if the formula is exact, as for a constant. `in_radians`: names
-    that must be angles in rad for the effect to make sense. `source`: origin of the equation. `instead`: the formula of
-    the same effect for places that offer the names it needs. `finer`: a formula of the same effect with more physics
-    and more parameters, which needs a more informative record.
+    instant. `of_run`: an event of one run that its experiment asked for, and no property of the machine.
+    `formula_error`: the share of what it explains that its formula may leave unexplained, or that a second effect may
+    explain merely by bending the formula; 0 if the formula is exact, as for a constant. `in_radians`: names that must
+    be angles in rad for the effect to make sense. `source`: origin of the equation. `instead`: the formula of the same
+    effect for places that offer the names it needs. `finer`: a formula of the same effect with more physics and more
+    parameters, which needs a more informative record.
     """
 
     name: str
@@ -146,6 +147,7 @@ class Effect:
     stiff: bool = False
     sets_in: bool = True
     onset_of: str = ""
+    of_run: bool = False
     formula_error: float = 0.1
     in_radians: tuple[str, ...] = ()
     source: str = ""

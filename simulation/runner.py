@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import random
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import monotonic
 
@@ -21,6 +21,7 @@ import can
 from simulation.bus.port import BusPort, PortStatistics, Received
 from simulation.config import SimulationConfig
 from simulation.faults import Fault
+from simulation.load import Load
 from simulation.vehicle import SYNC_ID, VirtualVehicle
 
 MOST_BEHIND = 10
@@ -35,6 +36,11 @@ DRAIN_INTERVAL = 250
 """Cycles after which a separate IMU bus, on which nothing is expected, is emptied."""
 
 log = logging.getLogger(__name__)
+
+
+def nothing() -> Load | None:
+    """No load."""
+    return None
 
 
 @dataclass(slots=True)
@@ -57,15 +63,17 @@ def run(
     lock_step: bool = False,
     stop: threading.Event | None = None,
     faults: Sequence[Fault] = (),
+    load: Callable[[], Load | None] = nothing,
 ) -> RunStatistics:
-    """Run the vehicle until `stop` is set (for ever without one). `imu_bus` None: the IMU is on `bus` too.
+    """Run the vehicle until `stop` is set (for ever without one). `imu_bus` None: the IMU is on `bus` too. `load()` is
+    asked every cycle what is on the vehicle.
 
     For lock-step the bus must keep the time of messages (python-can's virtual bus with preserve_timestamps=True).
 
     Raises:
         UnknownEffectError, SimulationError: `config` cannot be simulated.
     """
-    return Runner(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults).run()
+    return Runner(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults, load=load).run()
 
 
 class Runner:
@@ -80,8 +88,10 @@ class Runner:
         lock_step: bool = False,
         stop: threading.Event | None = None,
         faults: Sequence[Fault] = (),
+        load: Callable[[], Load | None] = nothing,
     ) -> None:
         self.vehicle = VirtualVehicle(config, self._send, faults)
+        self._load = load
         self.statistics = RunStatistics()
         self._port = BusPort(bus)
         self._imu_port = BusPort(imu_bus) if imu_bus is not None else self._port
@@ -198,4 +208,5 @@ class Runner:
         self._advance_to(self._steps)
         self._done = 0
         self.statistics.cycles += 1
+        self.vehicle.carry(self._load())
         self.vehicle.begin_cycle()

@@ -16,6 +16,7 @@ from simulation.bus.object_dictionary import SimulationError
 from simulation.config import DriveNode, SimulationConfig
 from simulation.faults import FAULTS, Fault
 from simulation.kinds import machine
+from simulation.load import Load
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000
@@ -98,6 +99,7 @@ class VirtualVehicle:
         self._drives = tuple(self.drives.values())
         self._faults = list(faults)
         self._agenda: list[tuple[float, Callable[[], None]]] = []
+        self._load: Load | None = None
 
     @property
     def time_ns(self) -> int:
@@ -141,6 +143,12 @@ class VirtualVehicle:
     def advance_steps(self, steps: int) -> None:
         """Advance the mechanics."""
         self.plant.advance(steps)
+
+    def carry(self, load: Load | None) -> None:
+        """Carry `load` from now on, or none."""
+        if load != self._load:
+            self._load = load
+            self.plant.load.carry(load)
 
     def later(self, delay: float, action: Callable[[], None]) -> None:
         """Run `action` `delay` s from now, at the next control cycle then."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from telemetry.recording import Recording
+from vehicles.load import load_of
 from vehicles.phases import Phase
 
 DRIVEN = ("drive_age", "excitation", "phase")
@@ -51,7 +52,7 @@ def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, per
         return "the recording does not contain the excitation (a raw CAN log never does): use the .arrow beside it"
     held = np.flatnonzero((phase >= since) & (phase <= Phase.FADE))
     excited = np.flatnonzero((phase >= Phase.EXCITE) & (phase <= Phase.FADE) & np.isfinite(excitation))
-    if not len(excited) or not np.any(excitation[excited]):
+    if not len(excited) or not (np.any(excitation[excited]) or load_of(recording)):
         return "the vehicle is not excited while its controller holds it up"
     if held[0] == 0 or phase[held[0]] != since:
         return "the recording begins later than the controller, so that the controller's state is not known"

@@ -226,6 +226,26 @@ class ControllerSection(Section):
     """Parameters of the controller; each kind of vehicle has a controller of its own."""
 
 
+class LoadSection(Section):
+    """What a person does to the vehicle during an experiment, when the service says so."""
+
+    torque: float
+    """N m about the axis that the vehicle falls about, with the sign of its angle."""
+    ramp: Positive = 1.0
+    """s in which it is put on."""
+    after: NotNegative = 5.0
+    """s after the start of the excitation."""
+    announcement: str
+    """The sentence that asks the person for it."""
+
+    @field_validator("torque")
+    @classmethod
+    def _is_a_load(cls, torque: float) -> float:
+        if torque == 0.0 or not math.isfinite(torque):
+            raise ValueError(f"{torque:g} N m is no load: give its torque, with the sign of the angle it pushes to")
+        return torque
+
+
 class ExperimentSection(Section):
     title: str
     excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine"]
@@ -243,6 +263,17 @@ class ExperimentSection(Section):
     frequencies: list[Positive] | None = None
     width: Positive | None = None
     lines: Annotated[int, Field(ge=2)] | None = None
+    load: LoadSection | None = None
+    """A load that a person puts on the vehicle; it stays until the vehicle lies on its support again."""
+
+    @model_validator(mode="after")
+    def _load_is_on_in_time(self) -> Self:
+        if self.load is not None and self.load.after + self.load.ramp > self.duration:
+            raise ValueError(
+                f"the load is on {self.load.after + self.load.ramp:g} s after the start, but the duration is "
+                f"{self.duration:g} s: make it longer"
+            )
+        return self
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

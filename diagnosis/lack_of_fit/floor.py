@@ -258,15 +258,18 @@ def innovations(task: Problem, values: Array, floor: Floor) -> Innovations:
     return _fitted(at(task, values), floor)
 
 
-def with_nuisances(task: Problem, values: Array) -> Innovations:
-    """The same with the time offsets of the inputs fitted, too, as they are not properties of the vehicle.
+def nuisances(task: Problem) -> tuple[int, ...]:
+    """The places of the parameters that are not properties of the vehicle: the time offsets of the inputs, which delay
+    an input and are called `..._offset`, and the events of the run (`Effect.of_run`)."""
+    offsets = [name for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)]
+    events = [each.name for effect in task.model.effects if effect.effect.of_run for each in effect.parameters]
+    return tuple(dict.fromkeys(map(task.kernel.index, (*offsets, *events))))
 
-    These are the parameters that delay an input and are called `..._offset`; their standard deviations are the prior.
-    """
-    offsets = tuple(dict.fromkeys(
-        task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)
-    ))  # fmt: skip
-    stated = _fitted(at(task, values, offsets), _floor(task, values, np.ones(len(task.kernel.states))))
+
+def with_nuisances(task: Problem, values: Array) -> Innovations:
+    """The same with the nuisances of the run fitted, too; their standard deviations are the prior."""
+    chosen = nuisances(task)
+    stated = _fitted(at(task, values, chosen), _floor(task, values, np.ones(len(task.kernel.states))))
     return _fitted(stated.problem, _lowered(stated))
 
 

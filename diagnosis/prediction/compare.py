@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.lack_of_fit.floor import OFFSET, Innovations, shaken_as, with_nuisances
+from diagnosis.lack_of_fit.floor import OFFSET, Innovations, nuisances, shaken_as, with_nuisances
 from diagnosis.lack_of_fit.where_it_fails import Entry, Views, summary, views
 from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.prediction.horizons import Prediction, predictions
@@ -40,7 +40,8 @@ DOUBTFUL = 2.0
 class Comparison:
     """One model against one or several recordings. Numbers by channel are for predictions `shown_horizon` s ahead, half
     a second of the MONOCAB; `fails` has the four views, all empty if the model is adequate. `offsets` are the time
-    offsets that were fitted, too, s by name."""
+    offsets that were fitted, too, s by name; `events` the parameters of what the experiment asked for, a load, by
+    name."""
 
     name: str
     fit_percent: Mapping[str, float]
@@ -50,6 +51,7 @@ class Comparison:
     adequate: bool
     fails: Mapping[str, Sequence[Entry]]
     offsets: Mapping[str, float]
+    events: Mapping[str, float]
     predictions: Sequence[Prediction] = field(repr=False)
     views: Views = field(repr=False)
     innovations: Innovations = field(repr=False)
@@ -62,7 +64,7 @@ class Comparison:
         """Where it fails, in words; empty if it does not."""
         words = summary(self.fails)
         for parameter in self.innovations.problem.parameters:
-            offset = self.offsets[parameter.name]
+            offset = self.offsets.get(parameter.name, parameter.value)
             if words and 0.0 < DOUBTFUL * parameter.std < abs(offset - parameter.value):
                 sentence = (
                     f"{parameter.name} was fitted, too, and came out at {1e3 * offset:.1f} ms, more than is plausible:"
@@ -83,6 +85,7 @@ class Comparison:
             "fails": {view: [dict(entry) for entry in entries] for view, entries in self.fails.items()},
             "summary": self.summary,
             "offsets": dict(self.offsets),
+            "events": dict(self.events),
             "missing_force": {
                 force.joint: {
                     "mean": mean.force if mean else None,
@@ -132,9 +135,8 @@ def _shaken(task: Problem) -> Fit | None:
     times = [task.kernel.index(name) for name in sorted(is_of_disturbance(task.model))]
     if not times:
         return None
-    offsets = [task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)]
     try:
-        return fit(replace(task, free=tuple(dict.fromkeys((*times, *offsets)))))
+        return fit(replace(task, free=tuple(dict.fromkeys((*times, *nuisances(task))))))
     except FAILURES:
         return None
 
@@ -187,6 +189,8 @@ def _compare(
     reach = horizon(task.model, task.segments)
     shown = next((each for each in reversed(ahead) if each.horizon <= reach), None)
     channels = task.kernel.outputs if shown else ()
+    places = zip(found.problem.parameters, found.problem.free, strict=True)
+    fitted = {parameter.name: float(found.fit.values[place]) for parameter, place in places}
     return Comparison(
         name=name,
         fit_percent={channel: shown.fit_percent(channel) for channel in channels} if shown else {},
@@ -195,10 +199,8 @@ def _compare(
         innovation_ratio=found.ratio,
         adequate=seen.adequate,
         fails=seen.fails,
-        offsets={
-            p.name: float(found.fit.values[place])
-            for p, place in zip(found.problem.parameters, found.problem.free, strict=True)
-        },
+        offsets={name: value for name, value in fitted.items() if name.endswith(OFFSET)},
+        events={name: value for name, value in fitted.items() if not name.endswith(OFFSET)},
         predictions=ahead,
         views=seen,
         innovations=found,

@@ -78,6 +78,7 @@ def identify(
     from service.offline.models import identified_model
     from vehicles import registry
     from vehicles.file import load
+    from vehicles.load import refuse_loads
 
     file = load(vehicle)
     subject = identified_model(model, file)
@@ -93,6 +94,7 @@ def identify(
         check_suffix(picture)
     check_folder(report)
     loaded = [load_recording(path, vehicle) for path in recordings]
+    refuse_loads(loaded)
     with fitting() as progress:
         document = run(
             loaded,

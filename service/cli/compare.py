@@ -51,6 +51,7 @@ def compare(
     from service.cli.pages.compare import print_comparisons
     from service.offline.machine import name_of, support_of
     from vehicles.file import load
+    from vehicles.load import with_load
     from vehicles.registry import recorded_loop
 
     if picture is not None:
@@ -69,7 +70,8 @@ def compare(
             step(f"comparing: {path.name}")
             recording = load_recording(path, vehicle)
             loop = recorded_loop(file, recording)
-            found = run(models, [recording], support=support, loops=[loop], progress=step)
+            loaded = {name: with_load(each, recording) for name, each in models.items()}
+            found = run(loaded, [recording], support=support, loops=[loop], progress=step)
             answers.append((path, found))
             if picture is not None:
                 from diagnosis.report.figures.comparison import save_comparison

@@ -151,14 +151,23 @@ def simulate(
         typer.Option("--fault", help="NAME@SECONDS: a fault that occurs at this time.", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the simulated sensors' noise and of the disturbance.")] = 1,
+    socket: Annotated[
+        Path | None,
+        typer.Option(
+            "--socket", help="The daemon's control socket, which says when to put a load on.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Run a virtual vehicle on a CAN bus in real time: plant, servo inverters and IMU with their real protocols.
 
-    Ctrl-C ends it. The daemon connects to it as to the real vehicle.
+    Ctrl-C ends it. The daemon connects to it as to the real vehicle. When an experiment asks for a load, the virtual
+    vehicle gets it.
     """
     import threading
 
+    from service.control.api import socket_candidates
     from service.virtual import vehicle as virtual_vehicle
+    from service.virtual.passenger import passenger
     from simulation.faults import parse_faults
     from vehicles.file import load
 
@@ -172,7 +181,8 @@ def simulate(
     faults = parse_faults(fault or [], [drive.name for drive in file.drive])
     people.print(f"Virtual {file.vehicle.id} on {' and '.join(dict.fromkeys((drives, imu)))}. Ctrl-C ends it.")
     print_disturbance(disturbance)
-    run = virtual_vehicle.run(configuration, drives, imu, stop=stop, faults=faults)
+    with passenger([socket] if socket else socket_candidates(file.vehicle.id)) as person:
+        run = virtual_vehicle.run(configuration, drives, imu, stop=stop, faults=faults, load=person)
     people.print(f"{run.cycles} cycles, {run.late_cycles} late, {run.skipped_cycles} skipped, {run.syncs} SYNCs.")
 
 
@@ -198,7 +208,7 @@ def serve(
     import asyncio
     import logging
     import os
-    from contextlib import nullcontext
+    from contextlib import ExitStack
 
     # Matrices of six rows do not become faster by threads, and threads make the control loop miss its deadlines.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -207,6 +217,7 @@ def serve(
 
     from service.control.api import default_socket
     from service.control.daemon import Daemon, Places
+    from service.virtual.passenger import passenger
     from service.virtual.serving import BUS, virtual_vehicle_beside
     from service.virtual.vehicle import requested_disturbance
     from vehicles.file import load
@@ -239,7 +250,10 @@ def serve(
 
     disturbance = requested_disturbance(file, hide or []) if virtual else None
     print_disturbance(disturbance)
-    with virtual_vehicle_beside(file, hide or [], seed, disturbance=disturbance) if virtual else nullcontext():
+    with ExitStack() as beside:
+        if virtual:
+            person = beside.enter_context(passenger([places.socket]))
+            beside.enter_context(virtual_vehicle_beside(file, hide or [], seed, disturbance=disturbance, load=person))
         asyncio.run(run())
 
 

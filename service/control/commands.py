@@ -120,11 +120,15 @@ class Commands:
         self._watching = asyncio.create_task(self._watch(run, lease), name=f"watch {name}")
         phase: Phase | None = None
         news = News()
+        asked = False
         try:
             while self._loop.run is run:
                 if run.phase is not phase:
                     phase = run.phase
                     yield {"type": "event", "severity": "info", "code": phase.name.lower(), "text": phase.text}
+                if run.load is not None and not asked:
+                    asked = True
+                    yield {"type": "event", "severity": "info", "code": "load", "text": run.load.announcement}
                 for text in news.of(self._observer.diagnosis):
                     yield {"type": "event", "severity": "warning", "code": "missing_effect", "text": text}
                 yield {

@@ -27,7 +27,7 @@ from vehicles import registry
 from vehicles.bounds import OK, Reaction, Verdict
 from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement
 from vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
-from vehicles.sections import VehicleFile
+from vehicles.sections import LoadSection, VehicleFile
 
 SYNC = 0x080
 HEARTBEAT = 0x700
@@ -127,6 +127,7 @@ class ControlLoop:
         self._last_ns = 0
         self._late_cycles = 0
         self._phase = Phase.NONE
+        self._load: LoadSection | None = None
 
     # The path of a sample
 
@@ -180,6 +181,8 @@ class ControlLoop:
         if run.phase is not self._phase:
             self._phase = run.phase
             self.on_change()
+        if run.load is not self._load:
+            self._announce(run.load)
         if run.done:
             self._finish_run(Mode.DISARMED, "done", run.failure or run.end_reason)
         return command
@@ -259,6 +262,11 @@ class ControlLoop:
         self._finish_run(Mode.FAULT, code, reason)
         self._observer.event("error", code, reason)
 
+    @property
+    def load(self) -> LoadSection | None:
+        """What a person is asked to have put on the vehicle."""
+        return self._load
+
     def interlocks(self) -> list[str]:
         """The reasons that prevent an experiment, as sentences; empty if there are none."""
         match self.mode:
@@ -337,6 +345,7 @@ class ControlLoop:
             "mode": self.mode.value,
             "experiment": run.name if run is not None else None,
             "phase": self._phase.name.lower(),
+            "load": self._load.model_dump(include={"torque", "ramp", "announcement"}) if self._load else None,
             "code": self.code,
             "reason": self.reason,
             "interlocks": self.interlocks(),
@@ -353,9 +362,17 @@ class ControlLoop:
     def _finish_run(self, mode: Mode, code: str, reason: str) -> None:
         self.run = None
         self._phase = Phase.NONE
+        self._load = None
         self._enter(mode, code, reason)
         if self._recording and mode is not Mode.FAULT:
             self._end_recording()
+
+    def _announce(self, load: LoadSection | None) -> None:
+        """Ask for a load: people see it on every screen, and a virtual vehicle carries it."""
+        self._load = load
+        if load is not None:
+            self._observer.event("info", "load", load.announcement)
+        self.on_change()
 
     def _begin_recording(self) -> None:
         """Discard all earlier measurements at the agreed time, so that the raw log is sufficient for a replay."""

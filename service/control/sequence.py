@@ -18,7 +18,7 @@ from drivers.cia402.states import State
 from vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
 from vehicles.excitation import Excitation, make_excitation
 from vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
-from vehicles.sections import VehicleFile
+from vehicles.sections import LoadSection, VehicleFile
 
 AT_REST_ANGLE = 0.0175
 """rad (1 deg): tolerance of the angle for resting on a support."""
@@ -32,12 +32,14 @@ _NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The parts of an experiment. `support` in rad; `angle` is the name of the angle of the fall."""
+    """The parts of an experiment. `support` in rad; `angle` is the name of the angle of the fall; `load` is what a
+    person puts on the vehicle, if any."""
 
     excitation: Excitation
     handling: Handling[Any]
     support: float
     angle: str
+    load: LoadSection | None
 
 
 def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -> Plan:
@@ -47,11 +49,12 @@ def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -
     """
     section = vehicle.experiments[experiment]
     excitation = make_excitation(section, float(vehicle.control.rate))
-    return Plan(excitation, pilot.handling(excitation, section.controller), vehicle.support, angle)
+    return Plan(excitation, pilot.handling(excitation, section.controller), vehicle.support, angle, section.load)
 
 
 class ExperimentRun:
-    """The course of one experiment. `done` when it has ended; `failure` is the reason if it did not succeed."""
+    """The course of one experiment. `done` when it has ended; `failure` is the reason if it did not succeed; `load` is
+    what is on the vehicle, from its time on until the end, None before."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         self.name = name
@@ -59,6 +62,7 @@ class ExperimentRun:
         self.failure = ""
         self.end_reason = ""
         self.done = False
+        self.load: LoadSection | None = None
         self._plan = plan
         self._handling = plan.handling
         self._phase_time = 0.0
@@ -170,7 +174,12 @@ class ExperimentRun:
         return command
 
     def _balance(self, dt: float, lean: Lean, drives: Any) -> Command:
-        value = self._plan.excitation.value(self._phase_time) if self.phase is Phase.EXCITE else 0.0
+        value = 0.0
+        if self.phase is Phase.EXCITE:
+            value = self._plan.excitation.value(self._phase_time)
+            load = self._plan.load
+            if load is not None and self._phase_time >= load.after:
+                self.load = load
         command = self._handling.balance(dt, lean, drives, value)
         if self._phase_time >= self._duration(self.phase):
             self._enter(_NEXT[self.phase])

@@ -20,6 +20,7 @@ from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
 from service.mqtt.embedded_broker import EmbeddedBroker
 from service.output import missing_effects, page, parameter_table, people
+from service.virtual.passenger import carried
 from service.virtual.serving import virtual_vehicle_beside
 from service.virtual.vehicle import usual_disturbance
 from telemetry.errors import UprightError
@@ -78,8 +79,18 @@ async def _run(
         daemon = Daemon(vehicle, places, lock_step=True)
         shown = nullcontext() if port is None else _dashboard(vehicle, data, broker.websocket, port)
         disturbance = usual_disturbance(vehicle)
-        plant = virtual_vehicle_beside(vehicle, hide, seed, BUS, punctual=port is not None, disturbance=disturbance)
-        with shown, plant:
+        with (
+            shown,
+            virtual_vehicle_beside(
+                vehicle,
+                hide,
+                seed,
+                BUS,
+                punctual=port is not None,
+                disturbance=disturbance,
+                load=lambda: carried(daemon.loop.load),
+            ),
+        ):
             serving = asyncio.create_task(daemon.run(), name="daemon")
             try:
                 people.print(f"MQTT: {broker.address}, topics {vehicle.mqtt.base}/{vehicle.vehicle.id}/#")

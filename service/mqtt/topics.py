@@ -28,6 +28,16 @@ class Fault(Message):
     text: str
 
 
+class Load(Message):
+    """What a person is asked to have put on the vehicle."""
+
+    torque: float
+    """N m about the axis that the vehicle falls about, with the sign of its angle."""
+    ramp: float
+    """s in which it is put on."""
+    announcement: str
+
+
 class State(Message):
     """The state of the vehicle, and its interlocks."""
 
@@ -35,6 +45,8 @@ class State(Message):
     mode: Literal["starting", "disarmed", "running", "fault"]
     experiment: str | None
     phase: str
+    load: Load | None
+    """The load that the running experiment asks for, from its time on."""
     code: str
     reason: str
     interlocks: list[str]

@@ -27,6 +27,7 @@ from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import VehicleFile
+from vehicles.load import refuse_loads, with_load
 
 BUDGET, ROWS = 60.0, 12_000
 """Default time limit, s, of a diagnosis of so many samples; proportionally more for more samples."""
@@ -74,11 +75,16 @@ def diagnosed(
     limit, `math.inf` for none, of which a share is `reserved` for later work; by default BUDGET, proportionally more
     for over ROWS samples. `begin` s: the recordings were cut off before it, for messages. `progress` gets the current
     step and the share that is done.
-    Raises ModelError and EstimationError for an invalid model or name; unusable data give a verdict.
+    Raises ModelError and EstimationError for an invalid model or name, RecordingError for a recording with a load among
+    several; unusable data give a verdict.
     """
     report = progress or (lambda text, share: None)
     nominal = to_be_completed(model, vehicle)
     support, of_vehicle = support_of(nominal, vehicle), is_of(nominal, vehicle)
+    if len(recordings) == 1:
+        nominal = with_load(nominal, recordings[0])
+    else:
+        refuse_loads(recordings)
     actuators = registry.models_of(vehicle).actuators if model is None else ()
     seconds = default_budget(recordings) if seconds is None else seconds
     whole = Budget.of(None if math.isinf(seconds) else seconds * (1.0 - reserved))

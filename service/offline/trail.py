@@ -13,6 +13,7 @@ from diagnosis.diagnose import Diagnosis
 from models.file.document import ModelFile
 from models.file.model_file import write
 from models.model import Model
+from vehicles.load import without_load
 
 
 def write_trail(
@@ -44,7 +45,7 @@ def write_trail(
         for finding in found.findings
         if finding.effect in in_it
     )
-    model = replace(found.revised, name=target.stem)
+    model = replace(without_load(found.revised), name=target.stem)
     there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}
     files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
     write(ModelFile(model=model, history=history, effect_files=files), target)

@@ -22,6 +22,7 @@ from service.control import assembly
 from service.control.loop import ControlLoop, Mode
 from service.control.notify import Notifier
 from service.virtual import vehicle as virtual_vehicle
+from service.virtual.passenger import carried
 from simulation.config import SimulationConfig
 from simulation.faults import parse_faults
 from simulation.vehicle import VirtualVehicle
@@ -137,6 +138,7 @@ class ClosedLoop:
             while self._inbox:
                 frames, self._inbox = self._inbox, []
                 on_frames(frames)
+            plant.carry(carried(self.loop.load))
             plant.advance_steps(rest)
 
     def until(self, over: Callable[[], bool], limit: float) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,6 +19,7 @@ from drivers.bus_address import connect
 from service.virtual import vehicle as virtual_vehicle
 from simulation import runner
 from simulation.disturbance import Disturbance
+from simulation.load import Load
 from vehicles.sections import VehicleFile
 
 BUS = "virtual:upright-virtual"
@@ -56,11 +57,12 @@ def virtual_vehicle_beside(
     *,
     punctual: bool = True,
     disturbance: Disturbance | None = None,
+    load: Callable[[], Load | None] = runner.nothing,
 ) -> Iterator[None]:
     """The virtual vehicle on the in-process `bus`, until the end of the block.
 
     It runs in real time, or, if not `punctual`, as fast as the daemon answers. It has the random `disturbance` unless
-    `hide` defines one.
+    `hide` defines one. `load()` is asked every cycle what is on it.
     Raises UnknownEffectError if `hide` names an unknown effect.
     """
     configuration = virtual_vehicle.configuration(vehicle, hide, seed, disturbance=disturbance)
@@ -69,7 +71,7 @@ def virtual_vehicle_beside(
     def simulate() -> None:
         with connect(bus, None, None) as own:
             paced: Any = PunctualBus(own) if punctual else own
-            runner.run(configuration, paced, lock_step=True, stop=stop)
+            runner.run(configuration, paced, lock_step=True, stop=stop, load=load)
 
     thread = threading.Thread(target=simulate, name="virtual vehicle", daemon=True)
     thread.start()

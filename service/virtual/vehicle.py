@@ -7,7 +7,7 @@ physics by the kind of vehicle.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
 from drivers.bus_address import connect
@@ -16,6 +16,7 @@ from simulation import runner
 from simulation.config import DriveNode, ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance
 from simulation.faults import Fault
+from simulation.load import Load
 from simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
 from simulation.runner import RunStatistics
 from vehicles import registry
@@ -98,8 +99,10 @@ def run(
     stop: threading.Event,
     lock_step: bool = False,
     faults: Sequence[Fault] = (),
+    load: Callable[[], Load | None] = runner.nothing,
 ) -> RunStatistics:
     """Run a virtual vehicle on the buses at the addresses `drives` and `imu` (IFACE:CHANNEL) until `stop` is set.
+    `load()` is asked every cycle what is on the vehicle.
 
     Raises:
         BusError: an address is wrong, or its interface is not there.
@@ -107,4 +110,4 @@ def run(
     with ExitStack() as open_buses:
         bus = open_buses.enter_context(connect(drives, None, None))
         imu_bus = open_buses.enter_context(connect(imu, None, None)) if imu != drives else None
-        return runner.run(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults)
+        return runner.run(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults, load=load)

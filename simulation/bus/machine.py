@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from simulation.bus.drive_application import DriveApplication
 from simulation.config import DriveNode
+from simulation.load import LoadTorque
 from telemetry.samples import Vector3
 
 Motion = tuple[float, ...]
@@ -29,6 +30,7 @@ class Machine(ABC):
         self.steps = 0
         self.event_origin: float | None = None
         """Time of the first SYNC, from which events are counted; None before it."""
+        self.load = LoadTorque(step_size)
 
     @property
     def time(self) -> float:

@@ -100,6 +100,7 @@ class CubePlant(Machine):
             on_body += effect(self)
         for random in self._random_torques:
             on_body += random.torque(self.event_clock)
+        on_body += self.load.torque()
         self._tilt_acceleration = on_body / self._inertia
         self._wheel_acceleration = on_wheel / truth.wheel_inertia - self._tilt_acceleration
 

@@ -154,6 +154,7 @@ class Plant(Machine):
             torque += effect.torque(self)
         for random in self._random_torques:
             torque += random.torque(self.event_clock)
+        torque += self.load.torque()
         inertia = self._inertia + mass * trim.position * trim.position
         if trim.mode is AxisMode.BRAKED:
             trim.rate = self._trim_acceleration = 0.0

@@ -110,6 +110,7 @@ class TwsbrPlant(Machine):
         on_tilt = sum([effect(tilt, time, clock) for effect in self._tilt_effects])
         for random in self._random_torques:
             on_tilt += random.torque(clock)
+        on_tilt += self.load.torque()
         self._held = (
             sum([effect(left, clock) for effect in self._wheel_effects[0]]),
             sum([effect(right, clock) for effect in self._wheel_effects[1]]),

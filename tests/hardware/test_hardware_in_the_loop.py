@@ -24,11 +24,12 @@ from service.observer.online_estimators import online_estimators
 from telemetry.candump import CandumpReader
 from telemetry.storage import load as load_recording
 from vehicles.file import load
+from vehicles.phases import Phase
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 
 VEHICLE = load("monocab")
-DURATIONS = {"hold": 8.0, "sweep": 30.0, "output_sweep": 20.0, "square": 10.0, "sine_stream": 20.0}
+DURATIONS = {"hold": 8.0, "sweep": 30.0, "output_sweep": 20.0, "square": 10.0, "sine_stream": 20.0, "side_load": 22.0}
 """s, shorter durations for the experiments that are longer than is needed to show that they run in real time."""
 
 
@@ -77,6 +78,8 @@ class TestOnOneRig:
         recording = load_recording(Path(answer["recording"]))
         assert recording.duration > DURATIONS.get(name, VEHICLE.experiments[name].duration) * 0.9
         assert recording.rate == pytest.approx(250, rel=0.01)
+        if name == "side_load":  # the person beside the virtual vehicle hears of it over the control socket
+            assert recording["trim_position"][recording["phase"] == Phase.EXCITE][-1] == pytest.approx(-0.112, rel=0.1)
         if name in ("sweep", "multisine"):
             found = answer["estimates"]["recursive_least_squares"]["parameters"]
             for parameter, true in (("inertia", 1650.0), ("gravity_stiffness", 14500.0)):

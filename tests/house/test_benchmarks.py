@@ -31,6 +31,7 @@ LONGER = {
     "others_recordings.py": ("--effect", "viscous_friction", "--processes", "1"),
     "others_robot.py": ("--effect", "static_torque@travel", "--processes", "1"),
     "robot_diagnosis.py": ("--case", "dead zone", "--effect", "input_deadband", "--named", "--processes", "1"),
+    "side_load.py": ("--hide", "viscous_friction"),
     "robot_next_experiment.py": ("--case", "dry or viscous, after a short doublet"),
 }
 """Options of those that take minutes. The others measure a browser, a bus or another build, which a person starts."""

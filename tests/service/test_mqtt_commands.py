@@ -287,6 +287,7 @@ async def test_tls_connects_only_to_a_broker_with_a_trusted_certificate(tmp_path
 async def test_everything_published_conforms_to_the_schemas(control: Control, broker: Mosquitto) -> None:
     state = {
         "vehicle": "monocab", "mode": "disarmed", "experiment": None, "phase": "none", "code": "disarmed", "reason": "",
+        "load": {"torque": 550.0, "ramp": 1.0, "announcement": "Sit down now"},
         "interlocks": [], "faults": [], "version": "1", "since": 1.0, "held_by": None, "commands": True,
     }  # fmt: skip
     health = {

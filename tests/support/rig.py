@@ -112,8 +112,10 @@ def rig(
     log = (folder / "daemon.log").open("wb")
     file = folder / "patient.toml"
     file.write_text(patient(text))
-    vehicle = subprocess.Popen([*FIRST, *UPRIGHT, "simulate", str(file), *bus, *STILL, *simulate], stderr=log)
     socket = folder / "s.sock"
+    vehicle = subprocess.Popen(
+        [*FIRST, *UPRIGHT, "simulate", str(file), *bus, *STILL, "--socket", str(socket), *simulate], stderr=log
+    )
     daemon = subprocess.Popen(
         [*SECOND, *UPRIGHT, "serve", str(file), *bus, "--data", str(folder), "--socket", str(socket)], stderr=log
     )

@@ -63,6 +63,7 @@ class MonocabCad(ParametersSection):
         "trim_mass": "kg",
         "trim_height": "m",
         "gimbal_inertia": "kg m^2",
+        "trim_speed_loop_lag": "s",
     }
 
     inertia: ParameterEntry
@@ -73,6 +74,8 @@ class MonocabCad(ParametersSection):
     trim_height: ParameterEntry
     gimbal_inertia: ParameterEntry | None = None
     """Of both gimbals with their rotors, about the precession axes; for the apparent inertia only."""
+    trim_speed_loop_lag: ParameterEntry | None = None
+    """Of the trim mass, if it is not the gimbals' `speed_loop_lag`."""
 
 
 class MonocabController(ControllerSection):

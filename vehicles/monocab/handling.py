@@ -7,15 +7,20 @@ place may have been chosen to balance the empty vehicle.
 
 from __future__ import annotations
 
-from math import copysign
+from math import copysign, radians
 
 from drivers.cia402.states import State
+from models.control_robustness import CheckedDesign
 from vehicles.contract import Command, Lean
+from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement
 from vehicles.monocab.control.controller import RollController
 from vehicles.monocab.control.full import FullController, FullState
 from vehicles.monocab.control.linear_model import MonocabParameters
-from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
+from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel, rise_rate
+from vehicles.monocab.control.roll_design import RollDesign
+from vehicles.monocab.file import FULL, MonocabFile
+from vehicles.sections import REST
 
 CENTRE_RATE = 0.08
 """rad/s: 264 N m at 3300 N m s, a quarter of the torque that would lift the vehicle off the support."""
@@ -63,6 +68,31 @@ class GimbalHandling:
         self._side = 0.0
         self._lowering: Lowering | None = None
 
+    @classmethod
+    def of(
+        cls,
+        vehicle: MonocabFile,
+        reduced: RollDesign,
+        full: CheckedDesign | None,
+        excitation: Excitation,
+        controller: str | None,
+    ) -> GimbalHandling:
+        """For an experiment with this excitation and one of the vehicle's controllers, `reduced` or `full`. The step
+        sets its own rate of rising; the other experiments use one with a margin."""
+        parameters = reduced.parameters
+        by_step = excitation.at == REST and excitation.peak > 0.0
+        rate = excitation.peak if by_step else rise_rate(parameters, vehicle.support)
+        return cls(
+            RollController.from_design(reduced, vehicle),
+            RiseFromRest(rate, acceleration=vehicle.limits.precession_acceleration),
+            parameters,
+            support=vehicle.support,
+            budget=radians(vehicle.limits.precession_budget_deg),
+            on_reference=excitation.on_reference,
+            full=FullController.from_design(full, vehicle) if full and controller == FULL else None,
+            settling=reduced.settling(DECAYED),
+        )
+
     @property
     def risen(self) -> bool:
         return self._rise.done
@@ -92,8 +122,12 @@ class GimbalHandling:
             self._side = copysign(1.0, lean.angle)
         rate = self._rise.step(dt, lean.angle, lean.rate)
         if self._rise.done:
-            self._controller.reset(rate)
+            self.stand(rate)
         return Command(State.OPERATION_ENABLED, rate, 0.0, rate)
+
+    def stand(self, rate: float) -> None:
+        """It is upright, got up with `rate` (rad/s) as the last setpoint."""
+        self._controller.reset(rate)
 
     def balance(self, dt: float, lean: Lean, drives: GimbalMeasurement, excitation: float) -> Command:
         """The LQI, with the excitation on the roll reference or on the precession rate."""

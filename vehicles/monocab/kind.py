@@ -14,13 +14,11 @@ from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
-from vehicles.monocab.control.controller import RollController, design
-from vehicles.monocab.control.full import FullController, design_full
-from vehicles.monocab.control.rise import RiseFromRest, rise_rate
+from vehicles.monocab.control.controller import design
+from vehicles.monocab.control.full import design_full
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import FULL, MonocabFile
-from vehicles.monocab.handling import DECAYED, GimbalHandling
-from vehicles.sections import REST
+from vehicles.monocab.handling import GimbalHandling
 
 
 class MonocabCode(StrEnum):
@@ -100,20 +98,7 @@ class GimbalPilot:
     full: CheckedDesign | None
 
     def handling(self, excitation: Excitation, controller: str | None) -> GimbalHandling:
-        """The step sets its own rate of rising; the other experiments use one with a margin."""
-        vehicle, parameters = self.vehicle, self.design.parameters
-        by_step = excitation.at == REST and excitation.peak > 0.0
-        rate = excitation.peak if by_step else rise_rate(parameters, vehicle.support)
-        return GimbalHandling(
-            RollController.from_design(self.design, vehicle),
-            RiseFromRest(rate, acceleration=vehicle.limits.precession_acceleration),
-            parameters,
-            support=vehicle.support,
-            budget=radians(vehicle.limits.precession_budget_deg),
-            on_reference=excitation.on_reference,
-            full=FullController.from_design(self.full, vehicle) if self.full and controller == FULL else None,
-            settling=self.design.settling(DECAYED),
-        )
+        return GimbalHandling.of(self.vehicle, self.design, self.full, excitation, controller)
 
     def findings(self) -> dict[str, Any]:
         return self.design.findings() | ({FULL: self.full.findings()} if self.full else {})

@@ -1,175 +1,239 @@
-"""What closed the loop while a recording was made: the vehicle's controller, the excitation, and its gimbals' drives.
+"""What closed the loop while a recording was made: the vehicle's controller, the excitation, and its axes' drives.
 
-The controller is first replayed on the recorded measurements (vehicles.recorded), once with the excitation on the roll
-reference and once on its output.
+What balances the vehicle in an experiment (vehicles.monocab.handling) is first replayed on the recorded measurements
+(vehicles.recorded): the reduced controller, or the full one if the trim mass was moved, with the excitation on the roll
+reference or on the output.
 
-For models to which the gimbals' motion is an input, the drives' speed loops are those identified from the recording
-(estimators.methods.drive_lag). If a setpoint acts later than one control cycle after its sample, this is a delay and
-not a property of the drive: it is left out here, and belongs to the model.
+For models to which the motion of gimbals and trim mass is an input, the drives' speed loops are those identified from
+the recording (estimators.methods.drive_lag). If a setpoint acts later than one control cycle after its sample, this is
+a delay and not a property of the drive: it is left out here, and belongs to the model.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.prediction.closed_loop import Controller
 from diagnosis.prediction.closed_loop_error import Loop
+from estimators.contract import Estimate
 from estimators.speed_loop import RUN_IN
 from estimators.speed_loop_steps import SpeedLoopSteps
+from models.control_robustness import CheckedDesign
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
-from vehicles.monocab.control.controller import RollController, design
+from vehicles.contract import Command, Lean
+from vehicles.excitation import Excitation, Nothing
+from vehicles.monocab.axes import GimbalMeasurement
+from vehicles.monocab.control.controller import design
+from vehicles.monocab.control.full import design_full
+from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import MonocabFile
-from vehicles.monocab.identification.own import drive_lag
+from vehicles.monocab.file import FULL, REDUCED, MonocabFile
+from vehicles.monocab.handling import GimbalHandling
+from vehicles.monocab.identification.own import drive_lag, trim_drive_lag
 from vehicles.phases import Phase
 from vehicles.recorded import Recorded, entered_at, recorded
-from vehicles.sections import CONTROLLER_OUTPUT, is_reference
+from vehicles.sections import CONTROLLER_OUTPUT
 
 Array = NDArray[np.float64]
 
-SETPOINT = "precession_rate_setpoint"
-MEASURED = ("roll", "roll_rate", "precession_rate", "precession")
-COMPARED = ("roll", "precession_rate")
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """The channels of an axis: its `setpoint`, its `rate` and its `position`; `speed_loop` identifies its drive,
+    whose `lag` the vehicle file states, s."""
+
+    setpoint: str
+    rate: str
+    position: str
+    speed_loop: Callable[[Sequence[Recording]], Estimate]
+    lag: Callable[[MonocabParameters], float]
+
+
+GIMBALS = _Axis("precession_rate_setpoint", "precession_rate", "precession", drive_lag, attrgetter("speed_loop_lag"))
+TRIM = _Axis("trim_rate_setpoint", "trim_rate", "trim_position", trim_drive_lag, attrgetter("trim_lag"))
+MEASURED = ("roll", "roll_rate", *(channel for axis in (GIMBALS, TRIM) for channel in (axis.rate, axis.position)))
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
-    """The gimbals' rate and angle at the sampling instants, and the delay of a setpoint in samples."""
+class _Drive:
+    """The drive of an axis as identified: `loop` makes its speed loop, in steady state at `setpoint`, and a setpoint is
+    under way for `late` samples. `rate` and `position` are the recorded ones at the sampling instants."""
 
-    rate: list[float]
-    precession: list[float]
+    axis: _Axis
+    loop: partial[SpeedLoopSteps]
     late: int
+    rate: list[float]
+    position: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class _Balancing:
+    """What balanced the vehicle: one of its controllers, with the excitation entering `at` an injection point."""
+
+    vehicle: MonocabFile
+    reduced: RollDesign
+    full: CheckedDesign | None
+
+    def handling(self, at: str) -> GimbalHandling:
+        """Upright, with the controllers not yet running."""
+        silent = Excitation(at, 0.0, 1.0, 0.0, Nothing())
+        return GimbalHandling.of(self.vehicle, self.reduced, self.full, silent, FULL if self.full else REDUCED)
+
+    @property
+    def driven(self) -> tuple[_Axis, ...]:
+        """The axes that it moves."""
+        return (GIMBALS, TRIM) if self.full else (GIMBALS,)
 
 
 def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     """The loop of `recording` from the first sample of its excitation on, or why it is not known, in words."""
     time = recording.time
     period = float(np.median(np.diff(time))) if len(time) > 1 else vehicle.period
-    record = recorded(recording, (*MEASURED, SETPOINT), since=Phase.SETTLE, period=period)
+    channels = (*MEASURED, GIMBALS.setpoint, TRIM.setpoint)
+    record = recorded(recording, channels, since=Phase.SETTLE, period=period)
     if isinstance(record, str):
         return record
     held = (recording["phase"] >= Phase.SETTLE) & (recording["phase"] <= Phase.FADE)
-    age = recording["drive_age"]
     sent = recording.values.get("setpoint_age", np.zeros(len(recording)))[held]
     if not (sent <= 0.0).all():
         return "setpoint_age is unknown, or positive as if setpoints had left before they were computed"
     try:
-        gains = design(vehicle)
+        balancing = _Balancing(
+            vehicle, design(vehicle), design_full(vehicle) if np.any(recording[TRIM.setpoint][held]) else None
+        )
         at = entered_at(
             ("roll_reference", CONTROLLER_OUTPUT),
-            lambda at: [_replayed(vehicle, gains, record, at, record.last)[1]],
+            lambda at: _replayed(balancing, record, at, record.last)[1],
             record,
-            (SETPOINT,),
+            [axis.setpoint for axis in balancing.driven],
         )
         if at is None:
             return f"the controller of {vehicle.vehicle.id}'s vehicle file does not give the recorded setpoints"
-        drives = drive_lag([recording]).parameters
+        drives = [
+            _identified(axis, recording, record, -float(np.median(sent)), axis.lag(balancing.reduced.parameters))
+            for axis in balancing.driven
+        ]
     except UprightError as error:
         return f"the loop cannot be reconstructed: {error}"
-    unknown = next((each.reason for each in drives.values() if each.value is None), None)
-    if unknown is not None:
-        return f"the speed loop of the gimbals' drives cannot be identified: {unknown}"
-    lag, offset, reaction = (float(each.value or 0.0) for each in drives.values())
-    whole, offset = divmod(-float(np.median(sent)) + min(max(offset, 0.0), record.period), record.period)
-    motion = _Motion(
-        rate=np.interp(time, time - age, recording["precession_rate"]).tolist(),
-        precession=np.interp(time, time - age, recording["precession"]).tolist(),
-        late=int(whole),
-    )
-    drive = partial(SpeedLoopSteps, lag, offset, reaction, record.period)
     return Loop(
         begins=record.time[record.first],
         ends=record.time[record.last],
-        controller=partial(_loop, vehicle, gains, record, at, drive, motion),
+        controller=partial(_loop, balancing, record, at, drives),
         needs=frozenset({"roll", "roll_rate"}),
-        gives=frozenset({"precession_rate_setpoint", "precession_rate", "precession"}),
-        channels=COMPARED,
+        gives=frozenset(channel for axis in balancing.driven for channel in (axis.setpoint, axis.rate, axis.position)),
+        channels=("roll", "precession", "trim_position") if balancing.full else ("roll", "precession_rate"),
     )
 
 
-def _replayed(
-    vehicle: MonocabFile, gains: RollDesign, record: Recorded, at: str, until: int
-) -> tuple[RollController, list[float]]:
-    """The controller before sample `until`, replayed on the recorded measurements, and its setpoints."""
-    controller = RollController.from_design(gains, vehicle)
-    controller.reset(record.values[SETPOINT][record.held])
+def _identified(axis: _Axis, recording: Recording, record: Recorded, sent: float, stated: float) -> _Drive:
+    """The drive of `axis`, whose setpoints were sent `sent` s after their samples. If the recording does not identify
+    it, it has the lag that the vehicle file has `stated`, s.
+
+    Raises RecordingError.
+    """
+    found: Estimate = axis.speed_loop([recording])
+    identified = [each.value for each in found.parameters.values() if each.value is not None]
+    lag, offset, *reaction = identified if len(identified) == len(found.parameters) else [stated, 0.0]
+    whole, offset = divmod(sent + min(max(offset, 0.0), record.period), record.period)
+    time, age = recording.time, recording["drive_age"]
+    return _Drive(
+        axis,
+        partial(SpeedLoopSteps, lag, offset, reaction[0] if reaction else 0.0, record.period),
+        int(whole),
+        rate=np.interp(time, time - age, recording[axis.rate]).tolist(),
+        position=np.interp(time, time - age, recording[axis.position]).tolist(),
+    )
+
+
+def _replayed(balancing: _Balancing, record: Recorded, at: str, until: int) -> tuple[GimbalHandling, Array]:
+    """What balances, as it was before sample `until`, replayed on the recorded measurements, and the setpoints of the
+    axes it moves, (axes, samples)."""
+    handling = balancing.handling(at)
+    handling.stand(record.values[GIMBALS.setpoint][record.held])
     measured = [record.values[name] for name in MEASURED]
-    rows = range(record.held + 1, until)
-    return controller, [_step(controller, record, at, row, *(each[row] for each in measured)) for row in rows]
+    sent = []
+    for row in range(record.held + 1, until):
+        command = _step(handling, record, row, [each[row] for each in measured])
+        sent.append((command.setpoint, *(command.others or (0.0,)))[: len(balancing.driven)])
+    return handling, np.array(sent).reshape(-1, len(balancing.driven)).T
 
 
-def _step(
-    controller: RollController,
-    record: Recorded,
-    at: str,
-    row: int,
-    roll: float,
-    roll_rate: float,
-    rate: float,
-    precession: float,
-) -> float:
-    value = record.values["excitation"][row]
-    on_reference = is_reference(at)
-    dt = record.time[row] - record.time[row - 1]
-    reference, output = (value, 0.0) if on_reference else (0.0, value)
-    return controller.step(roll, roll_rate, rate, precession, reference, dt, output)
+def _step(handling: GimbalHandling, record: Recorded, row: int, measured: list[float]) -> Command:
+    """The command at sample `row`; `measured` in the order of MEASURED."""
+    roll, roll_rate, precession_rate, precession, trim_rate, trim_position = measured
+    drives = GimbalMeasurement(0, precession, precession_rate, 0.0, trim_position, trim_rate)
+    return handling.balance(record.elapsed(row), Lean(roll, roll_rate), drives, record.values["excitation"][row])
 
 
-def _loop(
-    vehicle: MonocabFile,
-    gains: RollDesign,
-    record: Recorded,
-    at: str,
-    make_drive: partial[SpeedLoopSteps],
-    motion: _Motion,
-) -> Controller:
+class _Motion:
+    """An axis in the loop: its drive, the setpoints under way to it, its rate and position at the samples so far."""
+
+    def __init__(self, drive: _Drive, loop: SpeedLoopSteps, first: int, setpoint: float) -> None:
+        self._axis, self._loop = drive.axis, loop
+        self._under_way = deque([setpoint] * drive.late)
+        self._rates, self._positions = drive.rate[: first + 1], drive.position[: first + 1]
+
+    @classmethod
+    def before(cls, drive: _Drive, record: Recorded) -> Self:
+        """As it was before the first excited sample."""
+        sent, rolled, first = record.values[drive.axis.setpoint], record.values["roll_rate"], record.first
+        begin = max(0, first - round(RUN_IN / record.period))
+        motion = cls(drive, drive.loop(setpoint=sent[begin]), first, sent[begin])
+        for row in range(begin, first):
+            motion._follow(sent[row], rolled[row])
+        return motion
+
+    def reported(self, row: int, seen: Mapping[str, float], age: float) -> list[float]:
+        """Rate and position as the drive reports them at sample `row`, `age` samples old. If the drives are sampled
+        after the IMU, they are extrapolated linearly from this sample."""
+        axis = self._axis
+        self._rates[row] = seen.get(axis.rate, self._rates[row])
+        self._positions[row] = seen.get(axis.position, self._positions[row])
+        whole = max(0, int(age))
+        back, part = row - whole, age - whole
+        return [each[back] + part * (each[back - 1] - each[back]) for each in (self._rates, self._positions)]
+
+    def go_on(self, row: int, seen: Mapping[str, float], setpoint: float, period: float) -> dict[str, float]:
+        """The inputs that follow from `setpoint`, sent at sample `row`: rate and position at the next one."""
+        axis, rates, positions = self._axis, self._rates, self._positions
+        following = self._follow(setpoint, seen["roll_rate"])
+        # A model with drives of its own gives their rate; up to the next sample it is extrapolated linearly.
+        rates.append(2.0 * rates[row] - rates[row - 1] if axis.rate in seen else following)
+        positions.append(positions[row] + 0.5 * period * (rates[row] + rates[row + 1]))
+        return {axis.setpoint: setpoint, axis.rate: rates[row + 1], axis.position: positions[row + 1]}
+
+    def _follow(self, setpoint: float, roll_rate: float) -> float:
+        self._under_way.append(setpoint)
+        return self._loop.step(self._under_way.popleft(), roll_rate)
+
+
+def _loop(balancing: _Balancing, record: Recorded, at: str, drives: list[_Drive]) -> Controller:
     """The controller and the drives in their state at the first excited sample."""
-    controller, _ = _replayed(vehicle, gains, record, at, record.first)
-    sent, rolled = record.values[SETPOINT], record.values["roll_rate"]
-    begin = max(0, record.first - round(RUN_IN / record.period))
-    drive = make_drive(setpoint=sent[begin])
-    under_way = deque([sent[begin]] * motion.late)
-    for row in range(begin, record.first):
-        under_way.append(sent[row])
-        drive.step(under_way.popleft(), rolled[row])
-    rates, angles = motion.rate[: record.first + 1], motion.precession[: record.first + 1]
+    handling, _ = _replayed(balancing, record, at, record.first)
+    motions = [_Motion.before(drive, record) for drive in drives]
+    still = [record.values[name] for name in (TRIM.rate, TRIM.position)]
     row = record.first - 1
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal row
         row += 1
-        rates[row] = seen.get("precession_rate", rates[row])
-        angles[row] = seen.get("precession", angles[row])
         age = record.values["drive_age"][row] / record.period
-        # If the drives are sampled after the IMU, their values are extrapolated linearly from this sample.
-        whole = max(0, int(age))
-        back, part = row - whole, age - whole
-        setpoint = _step(
-            controller,
-            record,
-            at,
-            row,
-            seen["roll"],
-            seen["roll_rate"],
-            rates[back] + part * (rates[back - 1] - rates[back]),
-            angles[back] + part * (angles[back - 1] - angles[back]),
-        )
-        under_way.append(setpoint)
-        following = drive.step(under_way.popleft(), seen["roll_rate"])
-        # A model with drives of its own gives their rate; up to the next sample it is extrapolated linearly.
-        rates.append(2.0 * rates[row] - rates[row - 1] if "precession_rate" in seen else following)
-        angles.append(angles[row] + 0.5 * record.period * (rates[row] + rates[row + 1]))
-        return {
-            "precession_rate_setpoint": setpoint,
-            "precession_rate": rates[row + 1],
-            "precession": angles[row + 1],
-        }
+        reported = [value for motion in motions for value in motion.reported(row, seen, age)]
+        if len(motions) == 1:
+            reported += [each[row] for each in still]
+        command = _step(handling, record, row, [seen["roll"], seen["roll_rate"], *reported])
+        given: dict[str, float] = {}
+        for motion, setpoint in zip(motions, (command.setpoint, *command.others), strict=False):
+            given |= motion.go_on(row, seen, setpoint, record.period)
+        return given
 
     return step

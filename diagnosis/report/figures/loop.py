@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -11,16 +13,43 @@ from matplotlib.patches import Patch
 from diagnosis.prediction.closed_loop_error import ClosedLoop
 from diagnosis.prediction.compare import Comparison
 from diagnosis.report.figures.diagnosis import BAND, IN_A_ROW
-from diagnosis.report.figures.drawing import MEASURED, WIDTH, Array, in_a_row, looks, shown, styled, svg, thinned, units
+from diagnosis.report.figures.drawing import (
+    MEASURED,
+    STYLE,
+    WIDTH,
+    Array,
+    in_a_row,
+    looks,
+    shown,
+    styled,
+    svg,
+    thinned,
+    units,
+)
 
 
 @styled
 def closed_loop(comparisons: Sequence[Comparison], name: str = "loop") -> str:
     """Every channel of the loop: recorded, simulated with each model, and the differences; "" if there is no loop."""
+    figure = _figure(comparisons)
+    if figure is None:
+        return ""
+    return svg(figure, name, "Recorded and simulated in the closed loop, by channel, and the differences")
+
+
+def save_closed_loop(comparisons: Sequence[Comparison], path: Path) -> None:
+    """The same as a picture; the suffix of `path` gives the format. No file if there is no loop."""
+    with mpl.rc_context(STYLE):
+        figure = _figure(comparisons)
+        if figure is not None:
+            figure.savefig(path, dpi=130)
+
+
+def _figure(comparisons: Sequence[Comparison]) -> Figure | None:
     simulated = [(each, look) for each, look in zip(comparisons, looks(len(comparisons)), strict=True)]
     simulated = [(each, look) for each, look in simulated if each.closed_loop.measured]
     if not simulated:
-        return ""
+        return None
     first = simulated[0][0]
     channels = list(first.closed_loop.measured)
     unit_of = units(first.innovations.problem.model)
@@ -50,7 +79,7 @@ def closed_loop(comparisons: Sequence[Comparison], name: str = "loop") -> str:
     handles.append(Patch(color="0.88"))
     labels.append(f"noise and disturbance alone (±{BAND:g} std)")
     figure.legend(handles, labels, loc="outside upper left", ncols=4)
-    return svg(figure, name, "Recorded and simulated in the closed loop, by channel, and the differences")
+    return figure
 
 
 def _in_a_row(loop: ClosedLoop, *columns: Array) -> list[Array]:

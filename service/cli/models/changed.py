@@ -233,9 +233,11 @@ def _revise(
     from diagnosis.revise.revision import revise
     from models.file.history import before_fits
     from service.cli.inputs import working
+    from vehicles.load import refuse_loads
 
     support = _support(vehicle)
     training, tried = ([_load(path, vehicle) for path in paths] for paths in (recordings, held_out))
+    refuse_loads((*training, *tried))
     with working() as step:
         return revise(
             before_fits(file),

@@ -64,8 +64,9 @@ def design_full(vehicle: MonocabFile, *, spread: float = 0.2) -> CheckedDesign:
         (section.roll_integral_weight, section.precession_integral_weight),
         (section.trim_effort_weight, section.effort_weight),
     )
+    uncertain = UNCERTAIN if parameters.trim_speed_loop_lag is None else (*UNCERTAIN, "trim_speed_loop_lag")
     return checked_design(
-        lambda factors: full_model(parameters.scaled(factors)), Spread(UNCERTAIN, spread), weights, vehicle.period
+        lambda factors: full_model(parameters.scaled(factors)), Spread(uncertain, spread), weights, vehicle.period
     )
 
 

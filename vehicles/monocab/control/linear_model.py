@@ -7,7 +7,8 @@ roll torque, trim mass positive to the right):
                        + trim_mass * g * trim_position - trim_mass * trim_height * trim_position''
 
 `gravity_stiffness` is positive, so upright is unstable with the pole +sqrt(gravity_stiffness / inertia). Both servo
-axes follow their rate setpoint with a lag, `speed_loop_lag` (four times the sum of small time constants).
+axes follow their rate setpoint with a lag, `speed_loop_lag` (four times the sum of small time constants); that of the
+trim mass may have another one, `trim_speed_loop_lag`.
 
 Source: Griese et al., "Parameter identification related to vertical dynamic of a self-stabilizing monorail vehicle",
 equations (1) to (3), with the sign of the gravity term corrected: the torque m g z of the text is negative for a centre
@@ -17,7 +18,7 @@ of gravity above the rail, and the stiffness is its magnitude. Speed loops: Kess
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from math import isfinite, sqrt
 
 import numpy as np
@@ -40,7 +41,8 @@ class MonocabParameters:
     """The parameters of the linear model of a vehicle, SI units.
 
     `inertia` kg m^2 is the apparent one (see `apparent_inertia`); `gravity_stiffness` N m/rad; `angular_momentum` N m s
-    of both flywheels together; `speed_loop_lag` s; `trim_mass` kg; `trim_height` m above the rail head.
+    of both flywheels together; `speed_loop_lag` s; `trim_mass` kg; `trim_height` m above the rail head;
+    `trim_speed_loop_lag` s, None if it is the gimbals' `speed_loop_lag`.
     Raises ParameterError if a value is not finite or, except for `trim_height`, not positive.
     """
 
@@ -50,10 +52,13 @@ class MonocabParameters:
     speed_loop_lag: float
     trim_mass: float
     trim_height: float
+    trim_speed_loop_lag: float | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
+            if value is None:
+                continue
             if not isfinite(value):
                 raise ParameterError(field.name, f"{value} is not a number")
             if value <= 0.0 and field.name != "trim_height":
@@ -63,13 +68,18 @@ class MonocabParameters:
     def from_values(cls, values: Mapping[str, float]) -> MonocabParameters:
         """From a mapping of names to values; names the model does not have are ignored. Raises ParameterError."""
         for field in fields(cls):
-            if field.name not in values:
+            if field.name not in values and field.default is MISSING:
                 raise ParameterError(field.name, "missing")
-        return cls(**{field.name: float(values[field.name]) for field in fields(cls)})
+        return cls(**{field.name: float(values[field.name]) for field in fields(cls) if field.name in values})
 
     def scaled(self, factors: Mapping[str, float]) -> MonocabParameters:
         """The same with some parameters, by name, times a factor. Raises ParameterError."""
         return replace(self, **{name: factor * float(getattr(self, name)) for name, factor in factors.items()})
+
+    @property
+    def trim_lag(self) -> float:
+        """s, of the trim mass' speed loop."""
+        return self.speed_loop_lag if self.trim_speed_loop_lag is None else self.trim_speed_loop_lag
 
     @property
     def unstable_pole(self) -> float:
@@ -104,9 +114,10 @@ def full_model(parameters: MonocabParameters) -> StateSpace:
     """The model with trim mass and precession angle. Equation (1), its z_M being minus `trim_height`.
 
     A bandwidth near that of the speed loops needs more of them than one lag: they are PI loops by the symmetric
-    optimum, 1 / (1 + T s + T^2 s^2 / 2 + T^3 s^3 / 8) with T = `speed_loop_lag`. No drive reports their accelerations.
+    optimum, 1 / (1 + T s + T^2 s^2 / 2 + T^3 s^3 / 8) with T = `speed_loop_lag`, or `trim_speed_loop_lag` of the
+    trim mass. No drive reports their accelerations.
     """
-    inertia, lag = parameters.inertia, parameters.speed_loop_lag
+    inertia = parameters.inertia
     A, B = np.zeros((10, 10)), np.zeros((10, 2))
     A[0, 1] = 1.0
     A[1, [0, 2, 4, 7]] = (
@@ -115,7 +126,7 @@ def full_model(parameters: MonocabParameters) -> StateSpace:
         -parameters.trim_mass * parameters.trim_height / inertia,
         parameters.angular_momentum / inertia,
     )
-    for number, angle in enumerate((2, 6)):
+    for number, (angle, lag) in enumerate(((2, parameters.trim_lag), (6, parameters.speed_loop_lag))):
         rate, acceleration, jerk = range(angle + 1, angle + 4)
         A[angle, rate] = A[rate, acceleration] = A[acceleration, jerk] = 1.0
         A[jerk, [rate, acceleration, jerk]] = -8.0 / lag**3, -8.0 / lag**2, -4.0 / lag

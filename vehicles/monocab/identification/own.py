@@ -30,6 +30,12 @@ def drive_lag(recordings: Sequence[Recording]) -> Estimate:
     return found
 
 
+def trim_drive_lag(recordings: Sequence[Recording]) -> Estimate:
+    """The speed loop of the trim mass, as `estimators.drive_lag`, without a reaction to the vehicle's motion."""
+    found: Estimate = estimators.drive_lag(recordings, setpoint="trim_rate_setpoint", rate="trim_rate")
+    return found
+
+
 def _regression(
     method: torque_balance.Method, parameters: Values, deviations: Values, support: float, channels: ChannelTable
 ) -> Estimator:
