@@ -101,6 +101,26 @@ class Estimated:
 
 
 @dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of a vehicle's parameters: `values` by name, SI, their standard `deviations`, and the `correlation`
+    of their errors by pair of names; pairs that are not in it are independent."""
+
+    values: Mapping[str, float]
+    deviations: Mapping[str, float]
+    correlation: Mapping[tuple[str, str], float]
+
+    def about(self, names: tuple[str, ...]) -> Estimated:
+        """What is known of `names`."""
+        deviations = np.array([self.deviations[name] for name in names])
+        pairs = [[1.0 if a == b else self._correlation(a, b) for b in names] for a in names]
+        values = np.array([self.values[name] for name in names])
+        return Estimated(names, values, np.array(pairs) * np.outer(deviations, deviations))
+
+    def _correlation(self, one: str, other: str) -> float:
+        return self.correlation.get((one, other), self.correlation.get((other, one), 0.0))
+
+
+@dataclass(frozen=True, slots=True)
 class Margins:
     """Stability margins of the loop at one input of the plant.
 

@@ -13,7 +13,7 @@ the same code for every vehicle, and uses
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop import Experiment
     from diagnosis.prediction.closed_loop_error import Loop
     from estimators.identify.subject import OwnMethods
+    from models.control_robustness import CheckedDesign, Known
     from models.model import Model
     from simulation.config import Truth
     from telemetry.recording import Recording
@@ -200,9 +201,10 @@ class VehicleKind:
     drivers; `views` is what people see of it. `models`: the one that is identified, and those of its actuators.
     `identification`: the methods of identification for this kind only; their regressions run along with the vehicle.
     `recorded_loop`: what closed the loop of a recording from the first sample of its excitation on, or why it is not
-    known, in words; `prediction`: how that loop is predicted; `twin`: its virtual vehicle; `shaken`: range of the RMS
-    of its random disturbance in benchmarks, in the unit of the force it falls by. The functions import what they need
-    when they are called.
+    known, in words; `designs`: its controllers by name, designed for the parameters of its file and checked wherever
+    these may be, none if their gains are in the file; `prediction`: how that loop is predicted; `twin`: its virtual
+    vehicle; `shaken`: range of the RMS of its random disturbance in benchmarks, in the unit of the force it falls by.
+    The functions import what they need when they are called.
     """
 
     file: type[VehicleFile]
@@ -212,6 +214,7 @@ class VehicleKind:
     models: Callable[[], Models]
     identification: Callable[[], OwnMethods]
     recorded_loop: Callable[[Any, Recording], Loop | str]
+    designs: Callable[[Any, Known], Mapping[str, CheckedDesign]]
     prediction: Callable[[], Prediction]
     twin: Callable[[], Twin]
     shaken: tuple[float, float]

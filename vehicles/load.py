@@ -78,17 +78,21 @@ def with_load(model: Model, recording: Recording) -> Model:
     excited = np.flatnonzero(recording["phase"] == Phase.EXCITE)
     if not len(excited) or excited[0] == 0 or any(each.effect.of_run for each in model.effects):
         return model
-    loaded = model.add(LOAD)
-    step = loaded.effects[-1]
-    begins = float(recording.time[excited[0]]) + load.after
+    return loaded(model, load, float(recording.time[excited[0]]) + load.after)
+
+
+def loaded(model: Model, load: LoadSection, begins: float) -> Model:
+    """`model` with `load` from `begins` s on."""
+    found = model.add(LOAD)
+    step = found.effects[-1]
     by_role = {Role.INSTANT: begins, Role.DURATION: load.ramp}
     values = {
         step.qualified(each.name): load.torque if each.amplitude else by_role[each.role]
         for each in step.effect.parameters
     }
-    fitted = [each.name for each in loaded.parameters if each.estimated or each.name in values]
+    fitted = [each.name for each in found.parameters if each.estimated or each.name in values]
     deviations = {name: SHARE * abs(value) for name, value in values.items()}
     for each in step.effect.parameters:
         if each.role is Role.INSTANT:
             deviations[step.qualified(each.name)] = LATE
-    return loaded.change(values, deviations=deviations, estimated=fitted)
+    return found.change(values, deviations=deviations, estimated=fitted)

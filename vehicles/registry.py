@@ -7,6 +7,7 @@ A further kind is a further folder; neither this module nor any other names a ki
 
 from __future__ import annotations
 
+import json
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -76,6 +77,12 @@ def models_of(vehicle: VehicleFile) -> Models:
 def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:
     """What closed the loop of `recording` from the first sample of its excitation on, or why it is not known, in words.
 
-    The free run of a model needs this loop to be comparable with a recording of an unstable vehicle.
+    The free run of a model needs this loop to be comparable with a recording of an unstable vehicle. The controller is
+    that of the vehicle file, designed for the parameters in the recording's metadata.
     """
+    try:
+        designed_for = json.loads(recording.metadata.get("parameters", "{}"))
+        vehicle = vehicle.with_values({name: float(value) for name, value in designed_for.items()})
+    except (ValueError, TypeError, AttributeError):
+        pass  # of other software: then its controller is not this one, or the values of the file are right
     return of(vehicle.vehicle.kind).recorded_loop(vehicle, recording)

@@ -419,6 +419,22 @@ class VehicleFile(Section):
             )
         return self
 
+    def with_values(self, values: Mapping[str, float], deviations: Mapping[str, float] | None = None) -> Self:
+        """The same vehicle with other parameter values (SI) and standard deviations; names that it does not have, or
+        does not give, are ignored.
+
+        Raises ValueError if a value is not positive.
+        """
+        known = {
+            name: {
+                "value": values.get(name, entry.value),
+                "std": (deviations or {}).get(name, entry.std),
+                "unit": entry.unit,
+            }
+            for name, entry in self.parameters._given.items()
+        }
+        return self.model_copy(update={"parameters": type(self.parameters).model_validate(known)})
+
     @property
     def period(self) -> float:
         """s of a control cycle."""

@@ -8,6 +8,8 @@ disconnects or does not renew it, the experiment ends in order. Every client may
     renew, release      for the holder of the lease
     stop {now}, reset   for everybody
     status              for everybody
+    design {source, sha256, values, deviations}, or {back}
+                        design the controllers for other parameters, or for those before; on the control socket only
 """
 
 from __future__ import annotations
@@ -15,8 +17,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncGenerator, Callable
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
+from service.control.adopted import VEHICLE_FILE, Adopted, History
 from service.control.api import GONE, ExitCode, Message, result
 from service.control.lease import LOOK, Lease
 from service.control.loop import ControlLoop, Mode
@@ -26,6 +33,8 @@ from service.observer.news import News
 from vehicles.phases import Phase
 from vehicles.sections import VehicleFile
 
+ADOPTED = ("source", "sha256", "values", "deviations")
+"""Keys of a design in a request."""
 PROGRESS_PERIOD = 0.2
 """s between two progress messages."""
 
@@ -34,8 +43,15 @@ class Commands:
     """Answers for one daemon. All methods are called in the event loop's thread."""
 
     def __init__(
-        self, vehicle: VehicleFile, loop: ControlLoop, observer: ObserverClient, status: Callable[[], dict[str, Any]]
+        self,
+        vehicle: VehicleFile,
+        loop: ControlLoop,
+        observer: ObserverClient,
+        status: Callable[[], dict[str, Any]],
+        data: Path,
     ) -> None:
+        """`data` is the folder of the recordings. Raises AdoptedError and ControlDesignError if the parameters that
+        were adopted there cannot be used."""
         self.lease: Lease | None = None
         """The lease of the running or last experiment."""
         self._vehicle = vehicle
@@ -43,6 +59,12 @@ class Commands:
         self._observer = observer
         self._status = status
         self._watching: asyncio.Task[None] | None = None
+        self._data = data
+        self.adopted = History.read(data)
+        """The parameters for which the controllers are and were designed."""
+        if self.adopted.acting != VEHICLE_FILE:
+            file = self.adopted.acting.of(vehicle)
+            loop.adopt(file, loop.designed(file))
 
     async def answer(self, request: Message) -> AsyncGenerator[Message]:
         """The lines of the answer, the result last. If the answer to an experiment is not read to its end, the
@@ -55,6 +77,8 @@ class Commands:
             case "reset":
                 refusal = self._loop.reset_fault()
                 yield result(ExitCode.REFUSED, "reset", refusal) if refusal else result(ExitCode.DONE)
+            case "design":
+                yield await self._design(request)
             case "experiment":
                 async for message in self._experiment(str(request.get("name", "")), str(request["client"])):
                     yield message
@@ -93,6 +117,29 @@ class Commands:
         if lease is None:
             return None
         return {"holder": lease.holder, "ended": lease.ended, "longest_silence": lease.longest}
+
+    async def _design(self, request: Message) -> Message:
+        if request.get("back") is True:
+            before = self.adopted.before
+            if before is None:
+                text = "The controllers are designed for the vehicle file's parameters, as they always were."
+                return result(ExitCode.REFUSED, "design", text)
+            adopted = before
+        else:
+            try:
+                adopted = Adopted.model_validate({key: request[key] for key in ADOPTED if key in request})
+            except ValidationError as error:
+                return result(ExitCode.USAGE, "bad_request", f"Not a design: {error.errors()[0]['msg']}.")
+        adopted = adopted.model_copy(update={"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")})
+        file = adopted.of(self._vehicle)
+        refusal = self._loop.adopt(file, await asyncio.to_thread(self._loop.designed, file))
+        if refusal:
+            return result(ExitCode.REFUSED, "design", refusal)
+        self.adopted = self.adopted.with_next(adopted)
+        self.adopted.write(self._data)
+        text = f"From the next experiment on, the controllers are designed for the parameters of {adopted.text}."
+        self._observer.event("info", "design", text)
+        return result(ExitCode.DONE, text=text, design=self.adopted.to_json())
 
     async def _stop(self, *, now: bool) -> Message:
         if self._loop.mode is not Mode.RUNNING:

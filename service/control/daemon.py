@@ -78,7 +78,7 @@ class Daemon:
             unclaimed=self._on_unclaimed_frame,
             deadline=None if lock_step else vehicle.limits.missed_cycles * vehicle.period,
         )
-        self.commands = Commands(vehicle, self.loop, self.observer, self.status)
+        self.commands = Commands(vehicle, self.loop, self.observer, self.status, places.data)
         self._replies = MqttReplies(self.commands, self.observer.reply)
         self.observer.on_command = self._replies.take
         self._health = HealthReports(vehicle)
@@ -264,6 +264,7 @@ class Daemon:
             "estimates": self.observer.estimates,
             "diagnosis": self.observer.diagnosis,
             "lease": self.commands.held(),
+            "design": self.commands.adopted.to_json(),
             "socket": str(self.places.socket),
             "data": str(self.places.data),
         }

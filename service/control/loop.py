@@ -25,7 +25,7 @@ from service.control.sequence import ExperimentRun, plan
 from telemetry.samples import CanFrame, Frame, ImuSample
 from vehicles import registry
 from vehicles.bounds import OK, Reaction, Verdict
-from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement
+from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
 from vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
 from vehicles.sections import LoadSection, VehicleFile
 
@@ -284,6 +284,18 @@ class ControlLoop:
                 return interlocks(
                     self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence
                 )
+
+    def designed(self, vehicle: VehicleFile) -> Pilot[Any]:
+        """The pilot with the controllers of `vehicle`, which differs from this one in its parameters only. It takes a
+        tenth of a second, and may run in another thread. Raises ControlDesignError if there is no such controller."""
+        return registry.kind_of(vehicle, self.io).pilot()
+
+    def adopt(self, vehicle: VehicleFile, pilot: Pilot[Any]) -> str:
+        """Use the `pilot` of `vehicle` from the next experiment on. Returns the reason if refused, or ""."""
+        if self.mode is Mode.RUNNING:
+            return f"{self.reason} is running; `upright stop` ends it."
+        self.vehicle, self._pilot = vehicle, pilot
+        return ""
 
     def reset_fault(self) -> str:
         """Acknowledge a fault: set up the drives again and reset their faults. Returns the reason if refused, or ""."""

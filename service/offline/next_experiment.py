@@ -146,13 +146,18 @@ def _as_json(choice: Choice) -> Mapping[str, Any] | None:
 
 def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
     """The experiments of a vehicle. Raises ModelError if its controller and `model` do not fit together."""
+    require_predictable(vehicle, model)
+    return experiments_of(vehicle)[0]
+
+
+def require_predictable(vehicle: VehicleFile, model: Model) -> None:
+    """Raises ModelError if the vehicle's controller and `model` do not fit together."""
     prediction = registry.of(vehicle.vehicle.kind).prediction()
     lacking = prediction.needs - {each.name for each in model.outputs}
     lacking |= {each.name for each in model.inputs if each.usual is None} - prediction.gives
     if lacking:
         what = f"the loop with the vehicle's controller cannot be closed: {', '.join(sorted(lacking))}"
         raise ModelError(f"model {model.name}", what, remedy="use one of the vehicle's own models.")
-    return experiments_of(vehicle)[0]
 
 
 def _undetectable(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]:

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from models.control_design import LqiGains, LqiWeights, StateSpace
-from models.control_robustness import CheckedDesign, Spread, checked_design
+from models.control_robustness import CheckedDesign, Known, Spread, checked_design
 from vehicles.cube.file import CubeFile
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "wheel_inertia")
@@ -47,16 +47,18 @@ def linear_model(values: Mapping[str, float]) -> StateSpace:
     )
 
 
-def design(vehicle: CubeFile) -> CheckedDesign:
-    """The controller of a vehicle file, designed from its CAD values. Raises ControlDesignError."""
-    section, known = vehicle.controller, vehicle.parameters.values
+def design(vehicle: CubeFile, *, known: Known | None = None) -> CheckedDesign:
+    """The controller of a vehicle file, designed from its parameters and checked a fifth around them, or wherever they
+    may be if they are `known` from estimates. Raises ControlDesignError."""
+    section, values = vehicle.controller, vehicle.parameters.values
     states = (section.tilt_weight, section.tilt_rate_weight, section.wheel_rate_weight)
 
     def at(factors: Mapping[str, float]) -> StateSpace:
-        return linear_model({**known, **{name: factor * known[name] for name, factor in factors.items()}})
+        return linear_model({**values, **{name: factor * values[name] for name, factor in factors.items()}})
 
     weights = LqiWeights(states, (section.integral_weight,), (section.effort_weight,))
-    return checked_design(at, Spread(UNCERTAIN), weights, vehicle.period)
+    uncertain = known.about(UNCERTAIN) if known else Spread(UNCERTAIN)
+    return checked_design(at, uncertain, weights, vehicle.period)
 
 
 class WheelController:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from vehicles.contract import Models, Prediction, Twin, VehicleKind
 from vehicles.cube.channels import CHANNELS
+from vehicles.cube.controller import design
 from vehicles.cube.file import CubeFile
 from vehicles.cube.kind import Cube
 from vehicles.cube.views import VIEWS
@@ -13,6 +14,7 @@ from vehicles.cube.views import VIEWS
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop_error import Loop
     from estimators.identify.subject import OwnMethods
+    from models.control_robustness import CheckedDesign, Known
     from telemetry.recording import Recording
 
 
@@ -33,6 +35,10 @@ def _recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
     from vehicles.cube.recorded_loop import recorded_loop
 
     return recorded_loop(vehicle, recording)
+
+
+def _designs(vehicle: CubeFile, known: Known) -> dict[str, CheckedDesign]:
+    return {"wheel": design(vehicle, known=known)}
 
 
 def _prediction() -> Prediction:
@@ -57,6 +63,7 @@ KIND = VehicleKind(
     models=_models,
     identification=_identification,
     recorded_loop=_recorded_loop,
+    designs=_designs,
     prediction=_prediction,
     twin=_twin,
     shaken=(1.0e-4, 1.0e-3),

@@ -6,13 +6,16 @@ from typing import TYPE_CHECKING
 
 from vehicles.contract import Models, Prediction, Twin, VehicleKind
 from vehicles.monocab.channels import CHANNELS
-from vehicles.monocab.file import MonocabFile
+from vehicles.monocab.control.controller import design
+from vehicles.monocab.control.full import design_full
+from vehicles.monocab.file import FULL, REDUCED, MonocabFile
 from vehicles.monocab.kind import Monocab
 from vehicles.monocab.views import VIEWS
 
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop_error import Loop
     from estimators.identify.subject import OwnMethods
+    from models.control_robustness import CheckedDesign, Known
     from telemetry.recording import Recording
 
 
@@ -35,6 +38,13 @@ def _recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     return recorded_loop(vehicle, recording)
 
 
+def _designs(vehicle: MonocabFile, known: Known) -> dict[str, CheckedDesign]:
+    found: dict[str, CheckedDesign] = {REDUCED: design(vehicle, known=known)}
+    if any(drive.role == "trim" for drive in vehicle.drive):
+        found[FULL] = design_full(vehicle, known=known)
+    return found
+
+
 def _prediction() -> Prediction:
     from vehicles.monocab import predicted
 
@@ -55,6 +65,7 @@ KIND = VehicleKind(
     models=_models,
     identification=_identification,
     recorded_loop=_recorded_loop,
+    designs=_designs,
     prediction=_prediction,
     twin=_twin,
     shaken=(2.0, 20.0),

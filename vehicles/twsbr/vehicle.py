@@ -13,6 +13,7 @@ from vehicles.twsbr.views import VIEWS
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop_error import Loop
     from estimators.identify.subject import OwnMethods
+    from models.control_robustness import CheckedDesign, Known
     from telemetry.recording import Recording
 
 
@@ -33,6 +34,11 @@ def _recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
     from vehicles.twsbr.recorded_loop import recorded_loop
 
     return recorded_loop(vehicle, recording)
+
+
+def _designs(vehicle: TwsbrFile, known: Known) -> dict[str, CheckedDesign]:
+    """None: the gains of its PID are in the vehicle file, as in the paper."""
+    return {}
 
 
 def _prediction() -> Prediction:
@@ -57,6 +63,7 @@ KIND = VehicleKind(
     models=_models,
     identification=_identification,
     recorded_loop=_recorded_loop,
+    designs=_designs,
     prediction=_prediction,
     twin=_twin,
     shaken=(1.0e-4, 1.0e-3),

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from math import radians
 
 from models.control_design import LqiGains, LqiWeights
+from models.control_robustness import Known
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.roll_design import RollDesign, design_roll_controller
 from vehicles.monocab.file import MonocabFile
@@ -44,8 +45,9 @@ class SetpointLimits:
     acceleration: float
 
 
-def design(vehicle: MonocabFile, *, spread: float = 0.2) -> RollDesign:
-    """The roll controller of a vehicle file, designed from its CAD values and checked `spread` (20 %) around them.
+def design(vehicle: MonocabFile, *, spread: float = 0.2, known: Known | None = None) -> RollDesign:
+    """The roll controller of a vehicle file, designed from its parameters and checked `spread` (20 %) around them, or
+    wherever they may be if they are `known` from estimates.
 
     Raises ControlDesignError; see `models.control_design`.
     """
@@ -54,7 +56,7 @@ def design(vehicle: MonocabFile, *, spread: float = 0.2) -> RollDesign:
         (section.roll_weight, section.roll_rate_weight, 0.0), (section.integral_weight,), (section.effort_weight,)
     )
     parameters = MonocabParameters.from_values(vehicle.parameters.values)
-    return design_roll_controller(parameters, weights, vehicle.period, spread=spread)
+    return design_roll_controller(parameters, weights, vehicle.period, spread=spread, known=known)
 
 
 class PrecessionReturn:

@@ -29,7 +29,7 @@ from operator import mul
 import numpy as np
 
 from models.control_design import LqiGains, LqiWeights
-from models.control_robustness import CheckedDesign, Spread, checked_design
+from models.control_robustness import CheckedDesign, Known, Spread, checked_design
 from vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
 from vehicles.monocab.control.linear_model import MonocabParameters, full_model
 from vehicles.monocab.control.roll_design import UNCERTAIN
@@ -47,8 +47,9 @@ class TrimLimits(SetpointLimits):
     travel: float
 
 
-def design_full(vehicle: MonocabFile, *, spread: float = 0.2) -> CheckedDesign:
-    """The full controller of a vehicle file, designed from its CAD values and checked `spread` (20 %) around them.
+def design_full(vehicle: MonocabFile, *, spread: float = 0.2, known: Known | None = None) -> CheckedDesign:
+    """The full controller of a vehicle file, designed from its parameters and checked `spread` (20 %) around them, or
+    wherever they may be if they are `known` from estimates.
 
     Raises ControlDesignError.
     """
@@ -66,7 +67,10 @@ def design_full(vehicle: MonocabFile, *, spread: float = 0.2) -> CheckedDesign:
     )
     uncertain = UNCERTAIN if parameters.trim_speed_loop_lag is None else (*UNCERTAIN, "trim_speed_loop_lag")
     return checked_design(
-        lambda factors: full_model(parameters.scaled(factors)), Spread(uncertain, spread), weights, vehicle.period
+        lambda factors: full_model(parameters.scaled(factors)),
+        known.about(uncertain) if known else Spread(uncertain, spread),
+        weights,
+        vehicle.period,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from models.control_design import LqiWeights
-from models.control_robustness import CheckedDesign, Spread, checked_design
+from models.control_robustness import CheckedDesign, Known, Spread, checked_design
 from vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")
@@ -23,13 +23,18 @@ class RollDesign(CheckedDesign):
 
 
 def design_roll_controller(
-    parameters: MonocabParameters, weights: LqiWeights, period: float, *, spread: float = 0.2
+    parameters: MonocabParameters,
+    weights: LqiWeights,
+    period: float,
+    *,
+    spread: float = 0.2,
+    known: Known | None = None,
 ) -> RollDesign:
-    """The reduced LQI of the paper for a vehicle, checked `spread` around its uncertain parameters.
+    """The reduced LQI of the paper for a vehicle, checked `spread` around its uncertain parameters, or wherever these
+    may be if they are `known` from estimates.
 
     Weights are of [roll, roll_rate, precession_rate]. Raises ControlDesignError.
     """
-    found = checked_design(
-        lambda factors: reduced_model(parameters.scaled(factors)), Spread(UNCERTAIN, spread), weights, period
-    )
+    uncertain = known.about(UNCERTAIN) if known else Spread(UNCERTAIN, spread)
+    found = checked_design(lambda factors: reduced_model(parameters.scaled(factors)), uncertain, weights, period)
     return RollDesign(found.gains, found.poles, found.margins, found.worst, found.within, parameters)
