@@ -7,7 +7,7 @@ torque, its beginning and its duration are fitted together with whatever else is
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,9 +39,14 @@ measured."""
 
 
 def load_of(recording: Recording) -> LoadSection | None:
-    """The load that the experiment of `recording` asked for, by its metadata; None if there is none."""
+    """The load that the experiment of `recording` asked for; None if there is none."""
+    return asked_for(recording.metadata)
+
+
+def asked_for(metadata: Mapping[str, str]) -> LoadSection | None:
+    """The load that the experiment of a recording with this `metadata` asks for; None if there is none."""
     try:
-        asked = json.loads(recording.metadata.get("experiment_definition", "{}")).get("load")
+        asked = json.loads(metadata.get("experiment_definition", "{}")).get("load")
         return LoadSection.model_validate(asked) if asked else None
     except (ValueError, AttributeError, ValidationError):
         return None

@@ -14,11 +14,15 @@ from typing import TYPE_CHECKING, Any
 from estimators.contract import Estimator
 from telemetry.samples import Frame
 from vehicles import registry
+from vehicles.load import asked_for
 
 if TYPE_CHECKING:
     from diagnosis.live.live import LiveDiagnosis
 
 RECURSION = "recursive_prediction_error"
+
+LOADED = "the experiment asks for a load, which would be taken for an effect: `upright compare` and `upright diagnose` know it"
+"""Why there is no live diagnosis of an experiment with a load."""
 
 STARTING = {
     "parameters": {},
@@ -75,6 +79,11 @@ class EstimatorBank:
         self._live: LiveDiagnosis | None = None
         self._waiting: list[Frame] = []
         self._failed: dict[str, dict[str, Any]] = {}
+        self._undiagnosed = ""
+
+    def of_recording(self, metadata: Mapping[str, str]) -> None:
+        """The cycles to come are those of a recording with this `metadata`."""
+        self._undiagnosed = "" if asked_for(metadata) is None else LOADED
 
     @property
     def complete(self) -> bool:
@@ -119,6 +128,8 @@ class EstimatorBank:
     def diagnosis(self) -> dict[str, Any] | None:
         """The live diagnosis so far, JSON-ready as in `upright diagnose --json`; None for a kind of vehicle without a
         live diagnosis."""
+        if self._diagnoses and self._undiagnosed:
+            return {"adequate": False, "verdict": "insufficient_data", "reason": self._undiagnosed, "findings": []}
         if self._live is not None:
             return self._live.result().to_json()
         if self._diagnoses and (self._late or self._failed):

@@ -195,6 +195,7 @@ class Observer:
         self._end = self._end or {"end_reason": "another recording began"}
         self._close_recording()
         self._estimators, self._news = self._new_bank(), News()
+        self._estimators.of_recording(order["metadata"])
         if self._compiled.is_set():
             self._estimators.join()
         raw_buses = RAW_BUSES if order["raw_log"] else ()

@@ -123,6 +123,7 @@ def _replayed(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIM
     bank = online_estimators(
         vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
     )
+    bank.of_recording(recording.metadata)
     bank.join()
     frames = list(recording.frames(assembly.channels(vehicle)))
     for begin in range(0, len(frames), BATCH):

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from diagnosis.prediction.compare import Comparison, compare
 from service.control.api import ApiServer, ExitCode, Message, result
+from service.observer.online_estimators import LOADED, online_estimators
 from service.virtual.passenger import Passenger
 from service.virtual.run import record
 from simulation.load import Load, LoadTorque
@@ -23,7 +24,7 @@ from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import load
-from vehicles.load import load_of, refuse_loads, with_load, without_load
+from vehicles.load import asked_for, load_of, refuse_loads, with_load, without_load
 from vehicles.phases import Phase
 from vehicles.sections import ExperimentSection
 
@@ -123,6 +124,16 @@ def test_virtual_load_comes_and_goes_as_a_ramp() -> None:
     subject.carry(None)
     falling = [subject.torque() for _ in range(150)]
     np.testing.assert_allclose(falling, np.minimum(-40.0 + 0.4 * np.arange(1, 151), 0.0), atol=1e-9)
+
+
+def test_load_is_no_live_finding() -> None:
+    """The observer has the experiment's definition in the metadata of the recording that it starts."""
+    assert asked_for(side_load().metadata) == ASKED
+    bank = online_estimators("monocab", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
+    bank.of_recording(side_load().metadata)
+    assert bank.diagnosis() == {
+        "adequate": False, "verdict": "insufficient_data", "reason": LOADED, "findings": [],
+    }  # fmt: skip
 
 
 class TestModel:
