@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RECURSION = "recursive_prediction_error"
 
-LOADED = "the experiment asks for a load, which would be taken for an effect: `upright compare` and `upright diagnose` know it"
+LOADED = "the experiment asks for a load; `upright compare` and `upright diagnose` know it, live it would be an effect"
 """Why there is no live diagnosis of an experiment with a load."""
 
 STARTING = {
