@@ -12,7 +12,7 @@ stays within +-`peak`.
 - sine_stream: one frequency after the other, each for whole periods and for about the same time.
 - multisine: `lines` cosines of one amplitude at whole multiples of 1/duration, with Schroeder's phases
   -pi k (k-1) / lines, which keep the peak low (Schroeder, IEEE Trans. Inf. Theory 16, 1970; Pintelon and Schoukens,
-  System Identification, 2nd ed., section 5.3).
+  System Identification, 2nd ed., section 5.3); or those of a `spectrum`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from itertools import accumulate
 from math import cos, expm1, log, pi, sin, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from telemetry.errors import UprightError
 from vehicles.sections import ExperimentSection, is_reference
@@ -33,6 +34,7 @@ LONGEST_RAMP = 1.0
 SAMPLES_PER_PERIOD = 8.0
 """Minimum number of control cycles per period of the highest frequency: with fewer the signal is distorted."""
 
+Array = NDArray[np.float64]
 Waveform = Callable[[float], float]
 """A signal within -1..1 over time in seconds."""
 
@@ -161,15 +163,15 @@ class SineStream:
 
 @dataclass(frozen=True, slots=True)
 class Multisine:
-    """Cosines of one amplitude, added; each line is (angular frequency in rad/s, phase), `scale` makes the peak 1."""
+    """Cosines, added; each line is (angular frequency in rad/s, phase, amplitude), `scale` makes the peak 1."""
 
-    lines: tuple[tuple[float, float], ...]
+    lines: tuple[tuple[float, float, float], ...]
     scale: float
 
     def __call__(self, t: float) -> float:
         value = 0.0
-        for omega, phase in self.lines:
-            value += cos(omega * t + phase)
+        for omega, phase, amplitude in self.lines:
+            value += amplitude * cos(omega * t + phase)
         return value * self.scale
 
 
@@ -183,7 +185,11 @@ def make_excitation(section: ExperimentSection, rate: float) -> Excitation:
     duration = section.duration
     waveform: Waveform = Nothing()
     fade = True
-    if section.excitation in ("sweep", "multisine"):
+    if section.spectrum is not None:
+        table = np.array(section.spectrum)
+        _require_frequencies(tuple(table[:, 0].tolist()), "spectrum", duration, rate)
+        waveform = _added(2.0 * pi * table[:, 0], np.radians(table[:, 2]), table[:, 1], duration)
+    elif section.excitation in ("sweep", "multisine"):
         assert section.start_frequency is not None
         assert section.stop_frequency is not None
         start, stop = section.start_frequency, section.stop_frequency
@@ -249,9 +255,13 @@ def _multisine(start: float, stop: float, count: int, duration: float) -> Multis
         )
     omega = 2.0 * pi * harmonics / duration
     k = np.arange(1, count + 1)
-    phases = -pi * k * (k - 1) / count
-    times = np.arange(0.0, duration, 1.0 / (64.0 * stop))
-    highest = float(np.max(np.abs(np.cos(np.outer(times, omega) + phases).sum(axis=1))))
+    return _added(omega, -pi * k * (k - 1) / count, np.ones(count), duration)
+
+
+def _added(omega: Array, phases: Array, amplitudes: Array, duration: float) -> Multisine:
+    """The multisine of lines at `omega` rad/s, its peak 1."""
+    times = np.arange(0.0, duration, 2.0 * pi / (64.0 * float(np.max(omega))))
+    highest = float(np.max(np.abs(np.cos(np.outer(times, omega) + phases) @ amplitudes)))
     # Between samples h apart a band-limited signal rises by at most 1 / cos(omega h / 2).
     peak = highest / cos(pi / 64.0)
-    return Multisine(tuple(zip(omega.tolist(), phases.tolist(), strict=True)), 1.0 / peak)
+    return Multisine(tuple(zip(omega.tolist(), phases.tolist(), amplitudes.tolist(), strict=True)), 1.0 / peak)

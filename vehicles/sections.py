@@ -263,6 +263,9 @@ class ExperimentSection(Section):
     frequencies: list[Positive] | None = None
     width: Positive | None = None
     lines: Annotated[int, Field(ge=2)] | None = None
+    spectrum: Annotated[list[tuple[Positive, Positive, float]], Field(min_length=1)] | None = None
+    """Of a multisine in place of `start_frequency`, `stop_frequency` and `lines`: for each line its frequency (Hz), its
+    share of the amplitude and its phase (deg). `upright multisine` designs one."""
     load: LoadSection | None = None
     """A load that a person puts on the vehicle; it stays until the vehicle lies on its support again."""
 
@@ -285,8 +288,10 @@ class ExperimentSection(Section):
             "square": ("frequency",),
             "doublet": ("width",),
             "sine_stream": ("frequencies",),
-            "multisine": ("start_frequency", "stop_frequency", "lines"),
+            "multisine": ("start_frequency", "stop_frequency", "lines") if self.spectrum is None else (),
         }[self.excitation]
+        if self.spectrum is not None and self.excitation != "multisine":
+            raise ValueError(f"only a multisine has a spectrum, not a {self.excitation}")
         missing = [key for key in needed if getattr(self, key) is None]
         if missing:
             raise ValueError(f"a {self.excitation} needs {', '.join(missing)}")

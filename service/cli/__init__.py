@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, benchmark, dashboard, design, live, talk, vehicle
+from service.cli import batch, benchmark, dashboard, design, live, multisine, talk, vehicle
 from service.cli.models import shown as model
 from telemetry.errors import UprightError
 
@@ -31,6 +31,7 @@ live.register(app)
 talk.register(app)
 batch.register(app)
 design.register(app)
+multisine.register(app)
 vehicle.register(app)
 model.register(app)
 benchmark.register(app)

@@ -56,6 +56,22 @@ def test_amplitudes_in_degrees_reach_the_roll_reference_in_radians() -> None:
     assert excitation.peak == pytest.approx(math.radians(SHIPPED["sweep"].amplitude_deg or 0.0))
 
 
+def test_spectrum_gives_each_line_its_share_and_phase() -> None:
+    lines = [(0.5, 1.0, 0.0), (1.0, 0.5, 90.0), (2.0, 0.25, -45.0)]
+    excitation = make_excitation(section("multisine", spectrum=lines), RATE)
+    times = np.arange(5.0, 15.0, 1.0 / RATE)  # whole periods, without the fades
+    values = np.array([excitation.value(t) for t in times])
+    found = [2.0 * np.mean(values * np.exp(-2j * np.pi * f * times)) for f, _, _ in lines]
+    np.testing.assert_allclose(np.abs(found) / abs(found[0]), [1.0, 0.5, 0.25], rtol=1e-3)
+    np.testing.assert_allclose(np.degrees(np.angle(found)), [0.0, 90.0, -45.0], atol=0.1)
+    assert np.max(np.abs(sampled(excitation))) <= excitation.peak * (1.0 + 1e-9)
+
+
+def test_only_a_multisine_has_a_spectrum() -> None:
+    with pytest.raises(ValueError, match="only a multisine has a spectrum, not a square"):
+        section("square", frequency=1.0, spectrum=[(1.0, 1.0, 0.0)])
+
+
 def test_value_is_pure() -> None:
     excitation = make_excitation(SHIPPED["multisine"], RATE)
     assert excitation.value(7.3) == excitation.value(7.3)

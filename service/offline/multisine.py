@@ -1,0 +1,300 @@
+"""The multisine that determines a vehicle's parameters in the shortest time within its limits.
+
+Each line is first predicted alone, in the closed loop of the model and the vehicle's controller: what it says about
+the parameters (diagnosis.prediction.information), and how far it moves each channel that has a limit. From these follow
+spectrum, phases and amplitude (diagnosis.prediction.line_spectrum). The result is simulated with the parameters
+wherever they may be, and made smaller until no limit is reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import degrees
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.prediction.closed_loop import Controller, Experiment, causal, simulate
+from diagnosis.prediction.information import information, predicted_information
+from diagnosis.prediction.line_spectrum import Lines, phases, power
+from estimators.contract import EstimationError
+from models.control_robustness import Known
+from models.model import Model
+from models.segment import Segment
+from service.offline.next_experiment import require_predictable
+from telemetry.errors import UprightError
+from vehicles import registry
+from vehicles.excitation import ExcitationError, Multisine, make_excitation
+from vehicles.file import VehicleFile
+from vehicles.sections import REST, ExperimentSection, is_reference
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+NAME = "designed"
+SETTLED = 1.0 / 3.0
+"""Share of a prediction after which a line is in steady state."""
+DRAWS = 40
+"""Simulations with other parameters, in addition to those in the corners of their region."""
+SMALLER, MOST_SMALLER = 0.95, 40
+"""Factor on the amplitude as long as one of them comes too close to a limit, and how often it is tried."""
+
+
+class MultisineError(UprightError):
+    """No multisine can be designed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An experiment with the `deviations` that its record leaves, at least, of the parameters by name."""
+
+    name: str
+    seconds: float
+    deviations: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class DesignedMultisine:
+    """`section` of a vehicle file; `largest` share of each limit that it uses, by channel, with the nominal parameters;
+    `candidates`: it and the vehicle's own experiments; `about`: the parameters in question."""
+
+    section: ExperimentSection
+    largest: Mapping[str, float]
+    about: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def toml(self) -> str:
+        """The section as text for a vehicle file."""
+        section = self.section
+        lines = ",\n".join(f"    [{f:.6g}, {share:.4f}, {phase:.1f}]" for f, share, phase in section.spectrum or [])
+        amplitude = (
+            f"amplitude_deg = {section.amplitude_deg:.4g}  # peak"
+            if section.amplitude_deg is not None
+            else f"amplitude = {section.amplitude:.4g}"
+        )
+        return (
+            f'[experiments.{NAME}]\ntitle = "{section.title}"\nexcitation = "multisine"\nat = "{section.at}"\n'
+            f"{amplitude}\nduration = {section.duration:g}\n"
+            f"spectrum = [  # Hz, share of the amplitude, deg\n{lines},\n]\n"
+        )
+
+    def seconds_like(self, name: str) -> float:
+        """s of the designed multisine after which the parameters in question are as well known as after the whole
+        experiment `name`."""
+        other = next(each for each in self.candidates if each.name == name)
+        own = self.candidates[0]
+        return own.seconds * max((own.deviations[each] / other.deviations[each]) ** 2 for each in self.about)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "experiment": self.section.model_dump(exclude_none=True),
+            "share_of_limits": dict(self.largest),
+            "parameters": list(self.about),
+            "candidates": [
+                {"name": each.name, "seconds": each.seconds, "std": dict(each.deviations)} for each in self.candidates
+            ],
+        }
+
+
+def designed_multisine(
+    vehicle: VehicleFile,
+    model: Model,
+    *,
+    about: Sequence[str] = (),
+    duration: float = 30.0,
+    start: float = 0.1,
+    stop: float = 3.0,
+    lines: int = 24,
+    share: float = 0.5,
+    progress: Progress | None = None,
+) -> DesignedMultisine:
+    """The multisine of at most `lines` lines from `start` to `stop` Hz for the parameters `about`, by default those of
+    the vehicle file that `model` estimates, using `share` of each limit.
+
+    Raises MultisineError and ModelError for what cannot be designed, ExcitationError for an impossible signal.
+    """
+    report = progress or (lambda text, done: None)
+    require_predictable(vehicle, model)
+    model = causal(registry.of(vehicle.vehicle.kind).prediction().assumed(model))
+    names = tuple(each.name for each in model.parameters if each.estimated)
+    chosen = tuple(about) or tuple(name for name in names if name in vehicle.parameters.values)
+    strange = [name for name in chosen if name not in names]
+    if strange or not chosen:
+        what = f"the model does not estimate {', '.join(strange)}" if strange else "the model estimates no parameter"
+        raise MultisineError(f"{what}.", remedy=f"Use some of: {', '.join(names)}.")
+    stand = _Stand(vehicle, model, duration)
+    known = stand.lines(np.unique(np.round(np.geomspace(start, stop, lines) * duration)) / duration, report)
+    best = power(known, [names.index(name) for name in chosen])
+    kept, amplitudes = known.of(best > 0.0), np.sqrt(best[best > 0.0])
+    report("choosing the phases", 0.6)
+    turned, peak = phases(kept, amplitudes)
+    section = stand.scaled(stand.multisine(kept.frequency, amplitudes, turned, 0.5 * share / peak), share)
+    section = stand.within_limits(section, lambda done: report("checking it with other parameters", 0.7 + 0.2 * done))
+    report("comparing it with the vehicle's experiments", 0.9)
+    seen = stand.watched(section)
+    own = Candidate(NAME, duration, information(model, seen.rows).deviations())
+    largest = {name: float(np.max(np.abs(values))) for name, values in seen.shares.items()}
+    return DesignedMultisine(section, largest, chosen, (own, *_others(vehicle, model)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A predicted experiment: its `rows`, and each channel with a limit over that limit, (n,), by name."""
+
+    rows: Segment
+    shares: Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stand:
+    """The vehicle with `model` in it, for experiments of `duration` s at its first injection point."""
+
+    vehicle: VehicleFile
+    model: Model
+    duration: float
+
+    @property
+    def at(self) -> str:
+        return self.vehicle.INJECTION_POINTS[0]
+
+    def section(self, peak: float, **keys: Any) -> ExperimentSection:
+        """An experiment with an excitation of this `peak`, SI."""
+        key, factor = ("amplitude_deg", degrees(1.0)) if is_reference(self.at) else ("amplitude", 1.0)
+        size = {} if keys["excitation"] == "none" else {key: factor * peak}
+        title = f"Multisine for {self.duration:g} s, designed for this vehicle"
+        return ExperimentSection.model_validate(
+            {"title": title, "at": self.at, "duration": self.duration, **size, **keys}
+        )
+
+    def experiment(self, section: ExperimentSection) -> Experiment:
+        """Its prediction. Raises ExcitationError."""
+        file = self.vehicle.model_copy(update={"experiments": {NAME: section}})
+        return registry.of(file.vehicle.kind).prediction().of(file)(NAME)
+
+    def watched(self, section: ExperimentSection) -> _Seen:
+        """Raises MultisineError if it comes too close to a limit."""
+        experiment, samples = self.experiment(section), list[Mapping[str, float]]()
+
+        def controller() -> Controller:
+            step = experiment.controller()
+
+            def watching(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
+                given = step(time, seen)
+                if time >= 0.0:
+                    samples.append({**seen, **given})
+                return given
+
+            return watching
+
+        course = simulate(self.model, replace(experiment, controller=controller))
+        if course.broken:
+            raise MultisineError(f"{course.broken}.", remedy="Make the experiment shorter, or use less of the limits.")
+        limits = {each.channel: each.largest for each in experiment.limits}
+        shares = {name: np.array([sample[name] for sample in samples]) / limit for name, limit in limits.items()}
+        return _Seen(course.rows, shares)
+
+    def lines(self, frequencies: Array, report: Progress) -> Lines:
+        """Each line predicted alone."""
+        still = information(self.model, self.watched(self.section(0.0, excitation="none")).rows)
+        peak, period = self._probe(), self.vehicle.period
+        matrices, transfers = [], []
+        for number, frequency in enumerate(frequencies.tolist()):
+            report(f"predicting the line at {frequency:.3g} Hz", 0.6 * number / len(frequencies))
+            section = self.section(peak, excitation="sine", frequency=frequency)
+            seen, ramp = self.watched(section), make_excitation(section, 1.0 / period).ramp
+            settled = slice(round(SETTLED * self.duration / period), round((self.duration - ramp) / period))
+            transfers.append(
+                [_component(each, frequency, period, settled) / (-1j * peak) for each in seen.shares.values()]
+            )
+            matrices.append((information(self.model, seen.rows).matrix - still.matrix) / peak**2)
+        return Lines(frequencies, still.matrix, np.array(matrices), np.array(transfers).T)
+
+    def multisine(self, frequencies: Array, amplitudes: Array, turned: Array, factor: float) -> ExperimentSection:
+        """With `factor` on the amplitudes."""
+        spectrum = zip(
+            frequencies.tolist(), (amplitudes / np.max(amplitudes)).tolist(), np.degrees(turned).tolist(), strict=True
+        )
+        section = self.section(1.0, excitation="multisine", spectrum=list(spectrum))
+        waveform = make_excitation(section, float(self.vehicle.control.rate)).waveform
+        assert isinstance(waveform, Multisine)
+        # The waveform is scaled to a peak of 1; the amplitude of its strongest line is then `scale`.
+        return self.section(factor * float(np.max(amplitudes)) / waveform.scale, **_own(section))
+
+    def scaled(self, section: ExperimentSection, share: float) -> ExperimentSection:
+        """`section` with the amplitude at which it uses `share` of a limit, its beginning and its end included."""
+        used = max(float(np.max(np.abs(each))) for each in self.watched(section).shares.values())
+        return self.section(share / used * section.amplitude_si, **_own(section))
+
+    def within_limits(self, section: ExperimentSection, report: Callable[[float], None]) -> ExperimentSection:
+        """`section`, smaller if need be, so that no limit is reached wherever the estimated parameters may be.
+
+        Raises MultisineError if it would have to become too small to be of use.
+        """
+        names = tuple(p.name for p in self.model.parameters if p.name in self.vehicle.parameters.values and p.std > 0.0)
+        known = Known(self.model.values, {p.name: p.std for p in self.model.parameters}, {})
+        points = [dict[str, float](), *map(dict, replace(known.about(names), draws=DRAWS).points())]
+        for _ in range(MOST_SMALLER):
+            experiment = self.experiment(section)
+            for number, factors in enumerate(points):
+                report(number / len(points))
+                changed = self.model.change(
+                    {name: factor * self.model.values[name] for name, factor in factors.items()}
+                )
+                if simulate(changed, experiment).broken:
+                    points = [factors, *(each for each in points if each is not factors)]
+                    break
+            else:
+                return section
+            section = self.section(SMALLER * section.amplitude_si, **_own(section))
+        raise MultisineError(
+            "with other parameters, within their standard deviations, a limit is reached.",
+            remedy="Identify the vehicle first, and give the result: upright multisine RESULT.",
+        )
+
+    def _probe(self) -> float:
+        """A peak at which a line alone is predicted: half the largest that the vehicle's own experiments have here."""
+        peaks = [each.amplitude_si for each in self.vehicle.experiments.values() if each.at == self.at]
+        if not max(peaks, default=0.0):
+            raise MultisineError(
+                f"no experiment of {self.vehicle.vehicle.id} is excited at {self.at}.",
+                remedy="Add one to its vehicle file.",
+            )
+        return 0.5 * max(peaks)
+
+
+def _own(section: ExperimentSection) -> dict[str, Any]:
+    return {"excitation": section.excitation, "spectrum": section.spectrum}
+
+
+def _component(values: Array, frequency: float, period: float, rows: slice) -> complex:
+    """The component of `values` at `frequency` Hz over as many whole periods as the `rows` hold: values are the real
+    part of it times exp(i omega t).
+
+    Raises MultisineError if they hold none.
+    """
+    chosen = values[rows]
+    count = round(int(len(chosen) * period * frequency + 1e-6) / (frequency * period))
+    if not count:
+        remedy = f"Make it longer, or begin above {1.0 / (len(chosen) * period):.2g} Hz."
+        raise MultisineError(f"no whole period of {frequency:.3g} Hz fits in.", remedy=remedy)
+    time = period * (rows.start + np.arange(count))
+    turned = np.exp(-2j * np.pi * frequency * time)
+    return complex(2.0 * np.mean((chosen[:count] - np.mean(chosen[:count])) * turned))
+
+
+def _others(vehicle: VehicleFile, model: Model) -> list[Candidate]:
+    """The vehicle's own experiments that can be predicted."""
+    predict = registry.of(vehicle.vehicle.kind).prediction().of(vehicle)
+    found = []
+    for name, section in vehicle.experiments.items():
+        if section.at == REST or section.excitation == "none":
+            continue
+        try:
+            seen = predicted_information(model, predict(name))
+        except (EstimationError, ExcitationError):
+            continue
+        found.append(Candidate(name, section.duration, seen.deviations()))
+    return found
