@@ -92,13 +92,11 @@ def _print(found: DesignedMultisine, write: Path | None) -> None:
     from rich.table import Table
 
     own = found.candidates[0]
-    table = Table("experiment", "s", *(f"± {name}" for name in found.about), f"s of {own.name} for the same")
+    table = Table("experiment", "s", "least standard deviations", f"s of {own.name} for the same")
     for each in found.candidates:
-        stds = (f"{each.deviations[name]:.3g}" for name in found.about)
-        table.add_row(each.name, f"{each.seconds:g}", *stds, f"{found.seconds_like(each.name):.1f}")
-    page.print("Least standard deviations of estimates, by the noise that the model states:")
+        stds = ", ".join(f"{name} {each.deviations[name]:.3g}" for name in found.about)
+        table.add_row(each.name, f"{each.seconds:g}", stds, f"{found.seconds_like(each.name):.1f}")
+    page.print("Estimates from one run of each, with the noise that the model states:")
     page.print(table)
-    page.print(
-        "Share of each limit: " + ", ".join(f"{name} {100.0 * each:.0f} %" for name, each in found.largest.items())
-    )
+    page.print("Share of limits: " + ", ".join(f"{name} {100.0 * each:.0f} %" for name, each in found.largest.items()))
     page.print(f"\nFor the vehicle file: {write}" if write else "\n" + found.toml, markup=False)

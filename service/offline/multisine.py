@@ -20,7 +20,6 @@ from diagnosis.prediction.closed_loop import Controller, Experiment, causal, sim
 from diagnosis.prediction.information import information, predicted_information
 from diagnosis.prediction.line_spectrum import Lines, phases, power
 from estimators.contract import EstimationError
-from models.control_robustness import Known
 from models.model import Model
 from models.segment import Segment
 from service.offline.next_experiment import require_predictable
@@ -36,8 +35,16 @@ Progress = Callable[[str, float], None]
 NAME = "designed"
 SETTLED = 1.0 / 3.0
 """Share of a prediction after which a line is in steady state."""
-DRAWS = 40
-"""Simulations with other parameters, in addition to those in the corners of their region."""
+NORMAL = 1.96
+"""Standard deviations to either side that hold 95 %."""
+DRAWS, SEED = 40, 51
+"""Number and seed of the values that are drawn."""
+HALVED = 7
+"""How often an amplitude is halved at most."""
+ROUNDS = 3
+"""Of scaling: a loop that is not quite linear does not use twice as much at twice the amplitude."""
+LEAST = 0.05
+"""Least share of a value that is drawn: no parameter is zero."""
 SMALLER, MOST_SMALLER = 0.95, 40
 """Factor on the amplitude as long as one of them comes too close to a limit, and how often it is tried."""
 
@@ -126,6 +133,9 @@ def designed_multisine(
         what = f"the model does not estimate {', '.join(strange)}" if strange else "the model estimates no parameter"
         raise MultisineError(f"{what}.", remedy=f"Use some of: {', '.join(names)}.")
     stand = _Stand(vehicle, model, duration)
+    if not stand.at:
+        what = f"no experiment of {vehicle.vehicle.id} excites it while it is upright."
+        raise MultisineError(what, remedy="Add one to its vehicle file: its injection point is used.")
     known = stand.lines(np.unique(np.round(np.geomspace(start, stop, lines) * duration)) / duration, report)
     best = power(known, [names.index(name) for name in chosen])
     kept, amplitudes = known.of(best > 0.0), np.sqrt(best[best > 0.0])
@@ -150,7 +160,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class _Stand:
-    """The vehicle with `model` in it, for experiments of `duration` s at its first injection point."""
+    """The vehicle with `model` in it, for experiments of `duration` s at the first injection point that its own use."""
 
     vehicle: VehicleFile
     model: Model
@@ -158,7 +168,8 @@ class _Stand:
 
     @property
     def at(self) -> str:
-        return self.vehicle.INJECTION_POINTS[0]
+        used = {each.at for each in self.vehicle.experiments.values() if each.excitation != "none"}
+        return next((each for each in self.vehicle.INJECTION_POINTS if each in used and each != REST), "")
 
     def section(self, peak: float, **keys: Any) -> ExperimentSection:
         """An experiment with an excitation of this `peak`, SI."""
@@ -191,7 +202,8 @@ class _Stand:
 
         course = simulate(self.model, replace(experiment, controller=controller))
         if course.broken:
-            raise MultisineError(f"{course.broken}.", remedy="Make the experiment shorter, or use less of the limits.")
+            remedy = "Use less of the limits; or identify the vehicle first, and give the result."
+            raise MultisineError(f"{course.broken}.", remedy=remedy)
         limits = {each.channel: each.largest for each in experiment.limits}
         shares = {name: np.array([sample[name] for sample in samples]) / limit for name, limit in limits.items()}
         return _Seen(course.rows, shares)
@@ -199,16 +211,15 @@ class _Stand:
     def lines(self, frequencies: Array, report: Progress) -> Lines:
         """Each line predicted alone."""
         still = information(self.model, self.watched(self.section(0.0, excitation="none")).rows)
-        peak, period = self._probe(), self.vehicle.period
+        period = self.vehicle.period
         matrices, transfers = [], []
         for number, frequency in enumerate(frequencies.tolist()):
             report(f"predicting the line at {frequency:.3g} Hz", 0.6 * number / len(frequencies))
-            section = self.section(peak, excitation="sine", frequency=frequency)
-            seen, ramp = self.watched(section), make_excitation(section, 1.0 / period).ramp
+            section, seen = self._alone(frequency)
+            peak, ramp = section.amplitude_si, make_excitation(section, 1.0 / period).ramp
             settled = slice(round(SETTLED * self.duration / period), round((self.duration - ramp) / period))
-            transfers.append(
-                [_component(each, frequency, period, settled) / (-1j * peak) for each in seen.shares.values()]
-            )
+            moved = [_component(each, frequency, period, settled) for each in seen.shares.values()]
+            transfers.append(np.array(moved) / (-1j * peak))
             matrices.append((information(self.model, seen.rows).matrix - still.matrix) / peak**2)
         return Lines(frequencies, still.matrix, np.array(matrices), np.array(transfers).T)
 
@@ -225,26 +236,24 @@ class _Stand:
 
     def scaled(self, section: ExperimentSection, share: float) -> ExperimentSection:
         """`section` with the amplitude at which it uses `share` of a limit, its beginning and its end included."""
-        used = max(float(np.max(np.abs(each))) for each in self.watched(section).shares.values())
-        return self.section(share / used * section.amplitude_si, **_own(section))
+        for _ in range(ROUNDS):
+            smaller, seen = self._watched_smaller(section)
+            used = max(float(np.max(np.abs(each))) for each in seen.shares.values())
+            section = self.section(share / used * smaller.amplitude_si, **_own(section))
+        return section
 
     def within_limits(self, section: ExperimentSection, report: Callable[[float], None]) -> ExperimentSection:
         """`section`, smaller if need be, so that no limit is reached wherever the estimated parameters may be.
 
         Raises MultisineError if it would have to become too small to be of use.
         """
-        names = tuple(p.name for p in self.model.parameters if p.name in self.vehicle.parameters.values and p.std > 0.0)
-        known = Known(self.model.values, {p.name: p.std for p in self.model.parameters}, {})
-        points = [dict[str, float](), *map(dict, replace(known.about(names), draws=DRAWS).points())]
+        points = self._elsewhere()
         for _ in range(MOST_SMALLER):
             experiment = self.experiment(section)
-            for number, factors in enumerate(points):
+            for number, values in enumerate(points):
                 report(number / len(points))
-                changed = self.model.change(
-                    {name: factor * self.model.values[name] for name, factor in factors.items()}
-                )
-                if simulate(changed, experiment).broken:
-                    points = [factors, *(each for each in points if each is not factors)]
+                if simulate(self.model.change(values), experiment).broken:
+                    points = [values, *(each for each in points if each is not values)]
                     break
             else:
                 return section
@@ -254,15 +263,34 @@ class _Stand:
             remedy="Identify the vehicle first, and give the result: upright multisine RESULT.",
         )
 
-    def _probe(self) -> float:
-        """A peak at which a line alone is predicted: half the largest that the vehicle's own experiments have here."""
-        peaks = [each.amplitude_si for each in self.vehicle.experiments.values() if each.at == self.at]
-        if not max(peaks, default=0.0):
-            raise MultisineError(
-                f"no experiment of {self.vehicle.vehicle.id} is excited at {self.at}.",
-                remedy="Add one to its vehicle file.",
-            )
-        return 0.5 * max(peaks)
+    def _elsewhere(self) -> list[dict[str, float]]:
+        """Values that the vehicle's parameters may have: as they are, each alone at the ends of its 95 % interval, and
+        all of them drawn."""
+        uncertain = [p for p in self.model.parameters if p.name in self.vehicle.parameters.values and p.std > 0.0]
+        ends = [{p.name: p.value + side * NORMAL * p.std} for p in uncertain for side in (-1.0, 1.0)]
+        random = np.random.default_rng(SEED).standard_normal((DRAWS, len(uncertain)))
+        drawn = [{p.name: p.value + p.std * float(x) for p, x in zip(uncertain, each, strict=True)} for each in random]
+        least = {p.name: LEAST * p.value for p in uncertain}
+        return [{name: max(least[name], value) for name, value in each.items()} for each in ({}, *ends, *drawn)]
+
+    def _alone(self, frequency: float) -> tuple[ExperimentSection, _Seen]:
+        """A line alone, at first with half the largest peak that the vehicle's own experiments have here."""
+        largest = max(each.amplitude_si for each in self.vehicle.experiments.values() if each.at == self.at)
+        return self._watched_smaller(self.section(0.5 * largest, excitation="sine", frequency=frequency))
+
+    def _watched_smaller(self, section: ExperimentSection) -> tuple[ExperimentSection, _Seen]:
+        """`section`, with its amplitude halved until it comes too close to no limit, and its prediction.
+
+        Raises MultisineError if it does so nevertheless.
+        """
+        for _ in range(HALVED):
+            try:
+                return section, self.watched(section)
+            except MultisineError:
+                smaller = section.model_dump(exclude_none=True)
+                key = "amplitude" if section.amplitude_deg is None else "amplitude_deg"
+                section = ExperimentSection.model_validate({**smaller, key: 0.5 * smaller[key]})
+        return section, self.watched(section)
 
 
 def _own(section: ExperimentSection) -> dict[str, Any]:
