@@ -22,6 +22,7 @@ from service.control.readiness import interlocks, observation, observe
 from service.control.rows import row
 from service.control.safety import Safety
 from service.control.sequence import ExperimentRun, plan
+from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame, ImuSample
 from vehicles import registry
 from vehicles.bounds import OK, Reaction, Verdict
@@ -287,8 +288,22 @@ class ControlLoop:
 
     def designed(self, vehicle: VehicleFile) -> Pilot[Any]:
         """The pilot with the controllers of `vehicle`, which differs from this one in its parameters only. It takes a
-        tenth of a second, and may run in another thread. Raises ControlDesignError if there is no such controller."""
-        return registry.kind_of(vehicle, self.io).pilot()
+        tenth of a second, and may run in another thread.
+
+        Raises ControlDesignError if there is no controller for an experiment that has one now.
+        """
+        pilot = registry.kind_of(vehicle, self.io).pilot()
+        for name in vehicle.experiments:
+            if self._can_run(name):
+                plan(vehicle, name, pilot, self.kind.angle)
+        return pilot
+
+    def _can_run(self, name: str) -> bool:
+        try:
+            plan(self.vehicle, name, self._pilot, self.kind.angle)
+        except UprightError:
+            return False
+        return True
 
     def adopt(self, vehicle: VehicleFile, pilot: Pilot[Any]) -> str:
         """Use the `pilot` of `vehicle` from the next experiment on. Returns the reason if refused, or ""."""

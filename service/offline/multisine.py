@@ -1,7 +1,7 @@
 """The multisine that determines a vehicle's parameters in the shortest time within its limits.
 
 Each line is first predicted alone, in the closed loop of the model and the vehicle's controller: what it says about
-the parameters (diagnosis.prediction.information), and how far it moves each channel that has a limit. From these follow
+the parameters (diagnosis.information), and how far it moves each channel that has a limit. From these follow
 spectrum, phases and amplitude (diagnosis.prediction.line_spectrum). The result is simulated with the parameters
 wherever they may be, and made smaller until no limit is reached.
 """
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.information import information, predicted_information
 from diagnosis.prediction.closed_loop import Controller, Experiment, causal, simulate
-from diagnosis.prediction.information import information, predicted_information
 from diagnosis.prediction.line_spectrum import Lines, phases, power
 from estimators.contract import EstimationError
 from models.model import Model

@@ -9,13 +9,14 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
+from models.control_design import ControlDesignError
 from models.control_robustness import CheckedDesign
 from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
 from vehicles.monocab.control.controller import design
-from vehicles.monocab.control.full import design_full
+from vehicles.monocab.control.full import full_if_used
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import FULL, MonocabFile
 from vehicles.monocab.handling import GimbalHandling
@@ -91,20 +92,32 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
 
 @dataclass(frozen=True, slots=True)
 class GimbalPilot:
-    """The LQI of a vehicle file as designed: the reduced one, and the full one, None if no experiment uses it."""
+    """The LQI of a vehicle file as designed: the reduced one, and the full one, None if no experiment uses it, or why
+    there is none."""
 
     vehicle: MonocabFile
     design: RollDesign
-    full: CheckedDesign | None
+    full: CheckedDesign | ControlDesignError | None
 
     def handling(self, excitation: Excitation, controller: str | None) -> GimbalHandling:
-        return GimbalHandling.of(self.vehicle, self.design, self.full, excitation, controller)
+        full = self.full
+        if isinstance(full, ControlDesignError):
+            if controller == FULL:
+                raise full
+            full = None
+        return GimbalHandling.of(self.vehicle, self.design, full, excitation, controller)
 
     def findings(self) -> dict[str, Any]:
-        return self.design.findings() | ({FULL: self.full.findings()} if self.full else {})
+        full = self.full
+        if isinstance(full, ControlDesignError):
+            return self.design.findings() | {FULL: {"error": str(full)}}
+        return self.design.findings() | ({FULL: full.findings()} if full else {})
 
     def words(self) -> list[str]:
-        return self.design.words() + (self.full.words(FULL) if self.full else [])
+        full = self.full
+        if isinstance(full, ControlDesignError):
+            return [*self.design.words(), f"no {FULL} controller: {full}"]
+        return self.design.words() + (full.words(FULL) if full else [])
 
 
 class Monocab:
@@ -153,4 +166,4 @@ class Monocab:
 
     def pilot(self) -> GimbalPilot:
         vehicle = self._vehicle
-        return GimbalPilot(vehicle, design(vehicle), design_full(vehicle) if vehicle.full_experiments else None)
+        return GimbalPilot(vehicle, design(vehicle), full_if_used(vehicle))

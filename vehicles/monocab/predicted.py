@@ -8,10 +8,14 @@ from math import degrees, expm1, radians
 
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
+from estimators.speed_loop_steps import SpeedLoopSteps
+from models.control_design import ControlDesignError
 from models.control_robustness import CheckedDesign
+from models.gravity import GRAVITY
 from vehicles.excitation import Excitation, ExcitationError, make_excitation
 from vehicles.monocab.control.controller import RollController, design
-from vehicles.monocab.control.full import FullController, FullState, design_full, speed_loops
+from vehicles.monocab.control.full import FullController, FullState, full_if_used, speed_loops
+from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import FULL, MonocabFile
 from vehicles.sections import ExperimentSection
@@ -34,12 +38,16 @@ GIVES = frozenset(
 def predictor(vehicle: MonocabFile) -> Callable[[str], Experiment]:
     """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
     reduced = design(vehicle)
-    full = design_full(vehicle) if vehicle.full_experiments else None
+    full = full_if_used(vehicle)
     return lambda name: _experiment(name, vehicle.experiments[name], vehicle, reduced, full)
 
 
 def _experiment(
-    name: str, section: ExperimentSection, vehicle: MonocabFile, reduced: RollDesign, full: CheckedDesign | None
+    name: str,
+    section: ExperimentSection,
+    vehicle: MonocabFile,
+    reduced: RollDesign,
+    full: CheckedDesign | ControlDesignError | None,
 ) -> Experiment:
     excitation = make_excitation(section, float(vehicle.control.rate))
     limits = vehicle.limits
@@ -55,7 +63,10 @@ def _experiment(
             return None
 
     controller = partial(_loop, vehicle, reduced, excitation)
-    if full is not None and section.controller == FULL:
+    if isinstance(full, ControlDesignError) and section.controller == FULL:
+        what = f"there is no {FULL} one ({full})"
+        raise ExcitationError("controller", what, remedy="change its weights or the control rate.")
+    if isinstance(full, CheckedDesign) and section.controller == FULL:
         controller = partial(_full_loop, vehicle, full, excitation)
     return Experiment(
         name=name,
@@ -78,33 +89,39 @@ def _experiment(
 def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitation) -> Controller:
     """The full controller with the excitation in it, and gimbals and trim mass, for models whose input is their motion.
 
-    Their drives follow as the controller computes it.
+    Their drives follow as the controller computes it. The trim mass also yields to its weight as the vehicle leans, and
+    to its inertia as the vehicle rolls about the rail below it, as far as a speed loop by the symmetric optimum does
+    whose motor and screw weigh nothing.
     """
     controller = FullController.from_design(design, vehicle)
     controller.take_over(FullState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0)
-    trim, gimbals = speed_loops(design.gains)
-    period = vehicle.period
-    trim_position = precession = 0.0
+    _, gimbals = speed_loops(design.gains)
+    period, parameters = vehicle.period, MonocabParameters.from_values(vehicle.parameters.values)
+    lag, height = parameters.trim_lag, parameters.trim_height
+    trim = SpeedLoopSteps(lag, 0.0, 0.5 * lag**2, period, 0.0)
+    trim_position = precession = trim_rate = roll_rate = 0.0
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
-        nonlocal trim_position, precession
+        nonlocal trim_position, precession, trim_rate, roll_rate
         value, before = excitation.value(time), controller.setpoint
         reference, output = (value, 0.0) if excitation.on_reference else (0.0, value)
         precession = seen.get("precession", precession)
         rate = seen.get("precession_rate", gimbals.rate)
-        state = FullState(seen["roll"] - reference, seen["roll_rate"], trim_position, trim.rate, precession, rate)
+        state = FullState(seen["roll"] - reference, seen["roll_rate"], trim_position, trim_rate, precession, rate)
         controller.step(state, period, output)
-        trim_before, rate_before = trim.rate, gimbals.rate
-        trim.step(controller.trim_setpoint)
+        trim_before, rate_before = trim_rate, gimbals.rate
+        pushed = GRAVITY * seen["roll"] - height * (seen["roll_rate"] - roll_rate) / period
+        roll_rate = seen["roll_rate"]
+        trim_rate = trim.step(controller.trim_setpoint, -pushed)
         gimbals.step(controller.setpoint)
-        trim_position += 0.5 * period * (trim_before + trim.rate)
+        trim_position += 0.5 * period * (trim_before + trim_rate)
         precession += 0.5 * period * (rate_before + gimbals.rate)
         return {
             "precession_rate_setpoint": controller.setpoint,
             "precession_rate": gimbals.rate,
             "precession": precession,
             "trim_position": trim_position,
-            "trim_rate": trim.rate,
+            "trim_rate": trim_rate,
             "trim_rate_setpoint": controller.trim_setpoint,
             "setpoint_slope": (controller.setpoint - before) / period,
         }

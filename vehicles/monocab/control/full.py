@@ -28,7 +28,7 @@ from operator import mul
 
 import numpy as np
 
-from models.control_design import LqiGains, LqiWeights
+from models.control_design import ControlDesignError, LqiGains, LqiWeights
 from models.control_robustness import CheckedDesign, Known, Spread, checked_design
 from vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
 from vehicles.monocab.control.linear_model import MonocabParameters, full_model
@@ -72,6 +72,15 @@ def design_full(vehicle: MonocabFile, *, spread: float = 0.2, known: Known | Non
         weights,
         vehicle.period,
     )
+
+
+def full_if_used(vehicle: MonocabFile) -> CheckedDesign | ControlDesignError | None:
+    """The full controller if an experiment of the vehicle file uses it, else None; or why there is none, so that the
+    other experiments run nevertheless."""
+    try:
+        return design_full(vehicle) if vehicle.full_experiments else None
+    except ControlDesignError as error:
+        return error
 
 
 class SpeedLoop:
