@@ -22,6 +22,7 @@ from service.control.commands import Commands
 from service.offline.design import Designed, ResultError, designed, read_result
 from vehicles import registry
 from vehicles.file import load
+from vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 FOUND = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "speed_loop_lag": 0.041}
@@ -176,6 +177,24 @@ class TestAdoption:
         assert isinstance(registry.recorded_loop(VEHICLE, recording), Loop)
         other = registry.of("monocab").recorded_loop(VEHICLE, recording)
         assert "does not give the recorded setpoints" in str(other)
+
+    async def test_side_load_is_measured_as_it_was_predicted(
+        self, tmp_path: Path, result: Path, found: Designed
+    ) -> None:
+        closed = ClosedLoop()
+        read = read_result(result, VEHICLE)
+        await ask(commands(closed, tmp_path), **{key: each for key, each in read.request.items() if key != "verb"})
+        closed.run("side_load")
+        recording = closed.recording("side_load")
+        # From one second before the load on: the gimbals' way back from getting up is not predicted.
+        since = recording.time[np.argmax(recording["phase"] == Phase.EXCITE)] + 4.0
+        loaded = (recording.time > since) & (recording["phase"] == Phase.EXCITE)
+        expected = next(each for each in found.expected if each.name == "side_load")
+        sizes = {channel: (predicted, unit) for channel, predicted, _, unit in expected.largest}
+        for channel in ("roll", "precession", "trim_position"):  # the peak of the roll rate is the gyro's noise
+            predicted, unit = sizes[channel]
+            measured = float(np.max(np.abs(recording[channel][loaded]))) * (np.degrees(1.0) if unit == "deg" else 1.0)
+            assert measured == pytest.approx(predicted, rel=0.05), channel
 
     async def test_it_survives_a_restart_and_can_be_taken_back(self, tmp_path: Path) -> None:
         first = commands(ClosedLoop(), tmp_path)
