@@ -34,7 +34,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 
 from benchmarks import free_decays, measured_verdicts, others_recordings
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.gates import HeldOut, Round, Tried, decide, gated
+from diagnosis.gates import HeldOut, Round, Tried, decide, gated, tie
 from diagnosis.parts import diagnose_parts
 from models.effect import Effect, Family
 from models.effects.catalogue import CATALOGUE
@@ -253,6 +253,7 @@ def _round_line(decided: Round) -> Line:
         "named": decided.named,
         "tied_with": list(decided.tied_with),
         "covered": decided.covered,
+        "given": decided.given,
         "tried": [_tried_line(each) for each in decided.tried],
     }
 
@@ -322,7 +323,10 @@ def _again(line: Line) -> tuple[Round, list[str]]:
             lacking.append(best.name)
         return best
 
-    return decide(_round_of(line), on_held_out, lambda other: other.in_usual_shape), lacking
+    undecided = _round_of(line)
+    if line.get("given"):
+        return tie(replace(undecided, named=line["named"]), lambda other: None), lacking
+    return decide(undecided, on_held_out, lambda other: other.in_usual_shape), lacking
 
 
 def kind_of(line: Line) -> str:

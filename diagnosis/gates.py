@@ -146,7 +146,8 @@ def gated(tried: Tried, tries: int) -> Tried:
 @dataclass(frozen=True, slots=True)
 class Round:
     """A search for one more effect `beside` those of a model, as one of `tries`: all that were fitted, which of them is
-    `named`, empty for none, and what it is `tied_with`. `covered`: one that would be named if formulas were exact."""
+    `named`, empty for none, and what it is `tied_with`. `covered`: one that would be named if formulas were exact.
+    `given`: the name was not chosen among these, only its ties were."""
 
     beside: tuple[str, ...]
     tries: int
@@ -155,6 +156,7 @@ class Round:
     named: str = ""
     tied_with: tuple[str, ...] = ()
     covered: str = ""
+    given: bool = False
 
     @property
     def finding(self) -> Tried | None:

@@ -245,7 +245,7 @@ def named_alone(
     p_value = min(scored.score(each.name).p_value for each in fits)
     rows[made.name] = replace(rows[made.name], held_out=checked)
     there = tuple(each.name for each in base.model.effects)
-    decided = tie(Round(there, 1, tuple(rows.values()), p_value, made.name), lambda other: None)
+    decided = tie(Round(there, 1, tuple(rows.values()), p_value, made.name, given=True), lambda other: None)
     workspace.rounds.append(decided)
     return Named(_finding(best, decided, scored), best)
 
