@@ -7,6 +7,8 @@ const WORDS = {
   amplitude_deg: (x) => `amplitude ${number(x)}\u00a0deg`, amplitude: (x, unit) => `amplitude ${number(x)}\u00a0${unit}`,
   start_frequency: (x) => `from ${number(x)}\u00a0Hz`, stop_frequency: (x) => `to ${number(x)}\u00a0Hz`, frequency: (x) => `${number(x)}\u00a0Hz`,
   frequencies: (x) => `${x.map((each) => number(each)).join(", ")}\u00a0Hz`, width: (x) => `${number(x)}\u00a0s wide`, lines: (x) => `${number(x)} lines`,
+  spectrum: (x) => `${x.length} lines`, controller: (x) => `${x} controller`,
+  load: (x) => `a load of ${number(x.torque)}\u00a0N m after ${number(x.after)}\u00a0s`,
 };
 
 export class Experiments {
