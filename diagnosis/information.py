@@ -36,12 +36,10 @@ class Information:
     names: tuple[str, ...]
     matrix: Array
 
-    def deviations(self, known: Array | None = None) -> dict[str, float]:
-        """Least standard deviations of estimates by name, with the information `known` (p, p) from elsewhere; inf if
-        a parameter is not determined."""
-        matrix = self.matrix if known is None else self.matrix + known
+    def deviations(self) -> dict[str, float]:
+        """Least standard deviations of estimates by name, in the parameters' units; inf if one is not determined."""
         try:
-            variances = np.diag(np.linalg.inv(matrix))
+            variances = np.diag(np.linalg.inv(self.matrix))
         except np.linalg.LinAlgError:
             variances = np.full(len(self.names), np.inf)
         return {name: float(np.sqrt(v)) if v > 0.0 else np.inf for name, v in zip(self.names, variances, strict=True)}

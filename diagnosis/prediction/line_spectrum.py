@@ -39,17 +39,19 @@ FAINT = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Lines at `frequency` (f,) Hz: `still` (p, p) is the information of a record without excitation, `lines` (f, p, p)
-    what each adds at an amplitude of 1; `transfer` (c, f) from the excitation to the channels, over their limits."""
+    """Lines at `frequency` (f,) Hz, each with whole periods in a record of `span` s: `still` (p, p) is the information
+    of a record without excitation, `lines` (f, p, p) what each adds at an amplitude of 1; `transfer` (c, f) from the
+    excitation to the channels, over their limits."""
 
     frequency: Array
     still: Array
     lines: Array
     transfer: Complex
+    span: float
 
     def of(self, kept: NDArray[np.bool_]) -> Lines:
         """Only the lines that are `kept` (f,)."""
-        return Lines(self.frequency[kept], self.still, self.lines[kept], self.transfer[:, kept])
+        return Lines(self.frequency[kept], self.still, self.lines[kept], self.transfer[:, kept], self.span)
 
 
 def power(lines: Lines, about: Sequence[int]) -> Array:
@@ -94,8 +96,7 @@ def _part(matrices: Array, places: Sequence[int]) -> Array:
 def phases(lines: Lines, amplitude: Array) -> tuple[Array, float]:
     """The phases (f,), rad, with the least peak, and that peak, over the limit of the channel that has it."""
     omega = 2.0 * np.pi * lines.frequency
-    span = 1.0 / float(np.min(np.diff(lines.frequency, prepend=0.0)))
-    time = np.arange(0.0, span, 1.0 / (PER_PERIOD * float(np.max(lines.frequency))))
+    time = np.arange(0.0, lines.span, 1.0 / (PER_PERIOD * float(np.max(lines.frequency))))
     turning = np.exp(1j * np.outer(time, omega))
     weights = amplitude * lines.transfer
 

@@ -64,7 +64,8 @@ def design(
         if use or (back and result is not None):
             hint = "--use" if use else "--back"
             raise typer.BadParameter("needs a result" if use else "takes no result", param_hint=hint)
-        answer = _ask({"verb": "design", "back": True} if back else {"verb": "status"}, vehicle, socket)
+        request = {"verb": "design", "back": True} if back else {"verb": "status"}
+        answer = _ask(request, load(vehicle).vehicle.id, socket)
         acting = answer["design"] if back else answer["status"]["design"]
         if json:
             print_json({"in_use": acting})

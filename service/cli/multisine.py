@@ -67,7 +67,8 @@ def multisine(
     model = identified_model(None, file)
     if result is not None:
         read = read_result(result, file)
-        model = read.model.change(deviations=dict(read.deviations))
+        known = {name: std for name, std in read.deviations.items() if name in read.model.values}
+        model = read.model.change(deviations=known)
     with share_done() as progress:
         found = designed_multisine(
             file,

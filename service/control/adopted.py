@@ -91,12 +91,16 @@ class History:
         return cls(entries or (VEHICLE_FILE,))
 
     def write(self, folder: Path) -> None:
-        """Replace the file in `folder` at once. Raises OSError."""
-        folder.mkdir(parents=True, exist_ok=True)
+        """Replace the file in `folder` at once. Raises AdoptedError if it cannot be written."""
         path = folder / FILE
         beside = path.with_suffix(".part")
-        beside.write_text(json.dumps([each.model_dump() for each in self.entries], indent=1) + "\n", "utf-8")
-        os.replace(beside, path)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            beside.write_text(json.dumps([each.model_dump() for each in self.entries], indent=1) + "\n", "utf-8")
+            os.replace(beside, path)
+        except OSError as error:
+            what = f"{path} cannot be written ({error.strerror}): nothing has changed."
+            raise AdoptedError(what, remedy="Make room there, or give a writable folder with --data.") from error
 
     def to_json(self) -> dict[str, Any]:
         """`design` in the daemon's status."""

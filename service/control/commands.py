@@ -132,11 +132,14 @@ class Commands:
                 return result(ExitCode.USAGE, "bad_request", f"Not a design: {error.errors()[0]['msg']}.")
         adopted = adopted.model_copy(update={"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")})
         file = adopted.of(self._vehicle)
-        refusal = self._loop.adopt(file, await asyncio.to_thread(self._loop.designed, file))
+        pilot = await asyncio.to_thread(self._loop.designed, file)
+        if self._loop.mode is not Mode.RUNNING:
+            following = self.adopted.with_next(adopted)
+            following.write(self._data)  # first: what is not kept would not act any more after a restart
+            self.adopted = following
+        refusal = self._loop.adopt(file, pilot)
         if refusal:
             return result(ExitCode.REFUSED, "design", refusal)
-        self.adopted = self.adopted.with_next(adopted)
-        self.adopted.write(self._data)
         text = f"From the next experiment on, the controllers are designed for the parameters of {adopted.text}."
         self._observer.event("info", "design", text)
         return result(ExitCode.DONE, text=text, design=self.adopted.to_json())

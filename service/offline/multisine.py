@@ -221,7 +221,7 @@ class _Stand:
             moved = [_component(each, frequency, period, settled) for each in seen.shares.values()]
             transfers.append(np.array(moved) / (-1j * peak))
             matrices.append((information(self.model, seen.rows).matrix - still.matrix) / peak**2)
-        return Lines(frequencies, still.matrix, np.array(matrices), np.array(transfers).T)
+        return Lines(frequencies, still.matrix, np.array(matrices), np.array(transfers).T, self.duration)
 
     def multisine(self, frequencies: Array, amplitudes: Array, turned: Array, factor: float) -> ExperimentSection:
         """With `factor` on the amplitudes."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def second_order(still: float = 1e-13) -> Lines:
     dynamic = 30.0 - 1.0 * omega2 + 2.0j * np.sqrt(omega2)
     slopes = np.stack([omega2 / dynamic**2, -1.0 / dynamic**2], axis=1)
     matrices = 0.5 * np.einsum("fi,fj->fij", slopes, slopes.conj()).real
-    return Lines(FREQUENCY, still * np.eye(2), matrices, np.ones((1, len(FREQUENCY)), dtype=complex))
+    return Lines(FREQUENCY, still * np.eye(2), matrices, np.ones((1, len(FREQUENCY)), dtype=complex), 10.0)
 
 
 def log_determinant(lines: Lines, p: np.ndarray, about: list[int]) -> float:
@@ -53,7 +55,7 @@ def test_few_lines_suffice_for_two_parameters() -> None:
 def test_channel_that_resonates_gets_less() -> None:
     lines = second_order()
     resonant = np.abs(1.0 / (30.0 - (2.0 * np.pi * FREQUENCY) ** 2 + 1.0j * FREQUENCY)) * 300.0
-    both = Lines(lines.frequency, lines.still, lines.lines, np.vstack([lines.transfer, resonant.astype(complex)]))
+    both = Lines(lines.frequency, lines.still, lines.lines, np.vstack([lines.transfer, resonant.astype(complex)]), 10.0)
     best = power(both, [0, 1])
     used = 0.5 * CREST**2 * np.abs(both.transfer) ** 2 @ best
     assert np.max(used) == pytest.approx(1.0, rel=1e-3)
@@ -62,10 +64,8 @@ def test_channel_that_resonates_gets_less() -> None:
 
 class TestPhases:
     def lines(self) -> Lines:
-        count = 24
-        return Lines(
-            np.arange(1, count + 1) / 30.0, np.eye(1), np.ones((count, 1, 1)), np.ones((1, count), dtype=complex)
-        )
+        frequency = np.arange(1, 25) / 30.0
+        return Lines(frequency, np.eye(1), np.ones((24, 1, 1)), np.ones((1, 24), dtype=complex), 30.0)
 
     def test_peak_is_below_that_of_schroeders_phases(self) -> None:
         lines, amplitude = self.lines(), np.ones(24)
@@ -83,6 +83,15 @@ class TestPhases:
 
     def test_channel_closest_to_its_limit_decides(self) -> None:
         alone = self.lines()
-        loud = Lines(alone.frequency, alone.still, alone.lines, np.vstack([alone.transfer, 5.0j * alone.transfer]))
+        loud = replace(alone, transfer=np.vstack([alone.transfer, 5.0j * alone.transfer]))
         _, peak = phases(loud, np.ones(24))
         assert 5.0 * 1.3 * np.sqrt(12.0) < peak < 5.0 * 1.7 * np.sqrt(12.0)
+
+    def test_peak_is_that_of_the_whole_record(self) -> None:
+        """Lines that lie 0.2 Hz apart need not repeat after 5 s."""
+        frequency = np.array([11.0, 37.0, 43.0]) / 30.0
+        lines = Lines(frequency, np.eye(1), np.ones((3, 1, 1)), np.ones((1, 3), dtype=complex), 30.0)
+        turned, peak = phases(lines, np.ones(3))
+        time = np.arange(0.0, 30.0, 1e-3)
+        wave = np.cos(2.0 * np.pi * np.outer(time, frequency) + turned).sum(axis=1)
+        assert peak == pytest.approx(np.max(np.abs(wave)), rel=0.02)

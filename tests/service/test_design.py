@@ -213,6 +213,15 @@ class TestAdoption:
         assert answer["exit_code"] == 3
         assert not (tmp_path / FILE).exists()
 
+    async def test_what_cannot_be_kept_does_not_act(self, tmp_path: Path) -> None:
+        closed = ClosedLoop()
+        subject = commands(closed, tmp_path)
+        (tmp_path / FILE).mkdir()  # the file cannot be replaced
+        with pytest.raises(AdoptedError, match="nothing has changed"):
+            await ask(subject, values=FOUND)
+        assert closed.loop.vehicle.parameters == VEHICLE.parameters
+        assert subject.adopted.entries == History().entries
+
     async def test_running_experiment_is_not_disturbed(self, tmp_path: Path) -> None:
         closed = ClosedLoop()
         subject = commands(closed, tmp_path)
