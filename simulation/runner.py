@@ -21,7 +21,7 @@ import can
 from simulation.bus.port import BusPort, PortStatistics, Received
 from simulation.config import SimulationConfig
 from simulation.faults import Fault
-from simulation.load import Load
+from simulation.load import Load, Tilt
 from simulation.vehicle import SYNC_ID, VirtualVehicle
 
 MOST_BEHIND = 10
@@ -38,7 +38,7 @@ DRAIN_INTERVAL = 250
 log = logging.getLogger(__name__)
 
 
-def nothing() -> Load | None:
+def nothing() -> Load | Tilt | None:
     """No load."""
     return None
 
@@ -63,7 +63,7 @@ def run(
     lock_step: bool = False,
     stop: threading.Event | None = None,
     faults: Sequence[Fault] = (),
-    load: Callable[[], Load | None] = nothing,
+    load: Callable[[], Load | Tilt | None] = nothing,
 ) -> RunStatistics:
     """Run the vehicle until `stop` is set (for ever without one). `imu_bus` None: the IMU is on `bus` too. `load()` is
     asked every cycle what is on the vehicle.
@@ -88,7 +88,7 @@ class Runner:
         lock_step: bool = False,
         stop: threading.Event | None = None,
         faults: Sequence[Fault] = (),
-        load: Callable[[], Load | None] = nothing,
+        load: Callable[[], Load | Tilt | None] = nothing,
     ) -> None:
         self.vehicle = VirtualVehicle(config, self._send, faults)
         self._load = load

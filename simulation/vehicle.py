@@ -16,7 +16,7 @@ from simulation.bus.object_dictionary import SimulationError
 from simulation.config import DriveNode, SimulationConfig
 from simulation.faults import FAULTS, Fault
 from simulation.kinds import machine
-from simulation.load import Load
+from simulation.load import Load, Tilt
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000
@@ -99,7 +99,7 @@ class VirtualVehicle:
         self._drives = tuple(self.drives.values())
         self._faults = list(faults)
         self._agenda: list[tuple[float, Callable[[], None]]] = []
-        self._load: Load | None = None
+        self._load: Load | Tilt | None = None
 
     @property
     def time_ns(self) -> int:
@@ -144,7 +144,7 @@ class VirtualVehicle:
         """Advance the mechanics."""
         self.plant.advance(steps)
 
-    def carry(self, load: Load | None) -> None:
+    def carry(self, load: Load | Tilt | None) -> None:
         """Carry `load` from now on, or none."""
         if load != self._load:
             self._load = load

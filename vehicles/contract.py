@@ -99,6 +99,10 @@ class Handling(Protocol[M_in]):
         """At rest on a support: bring the actuators to the middle; None when they are there."""
         ...
 
+    def move(self, dt: float, drives: M_in, excitation: float) -> Command:
+        """Stay on the support, with the excitation at this moment on the drives."""
+        ...
+
     def rise(self, dt: float, lean: Lean, drives: M_in) -> Command:
         """Get up."""
         ...

@@ -21,6 +21,8 @@ class Phase(IntEnum):
     LOWER = 8
     CENTRE_BACK = 9
     DISABLE = 10
+    MOVE = 11
+    """In place of all that is off the support, in an experiment that stays on it."""
 
     @property
     def text(self) -> str:
@@ -40,6 +42,7 @@ _TEXTS = {
     Phase.LOWER: "lowering onto the support",
     Phase.CENTRE_BACK: "on the support: bringing the drives back",
     Phase.DISABLE: "disabling the drives",
+    Phase.MOVE: "on the support: moving the drives",
 }
 
 DURATIONS = {Phase.REST: 4.0, Phase.SETTLE: 3.0, Phase.FADE: 1.5}

@@ -126,9 +126,10 @@ class Role:
 
 
 NO_ROLE = Role(0, 0)
-REST, CONTROLLER_OUTPUT = "rest", "controller_output"
-"""Where an excitation may enter, in addition to the reference angles of a kind of vehicle: a vehicle at rest, or the
-controller's output."""
+REST, ON_SUPPORT, CONTROLLER_OUTPUT = "rest", "support", "controller_output"
+"""Where an excitation may enter, in addition to the reference angles of a kind of vehicle: a vehicle at rest, the
+drives while the vehicle stays on its support, or the controller's output. Without an excitation, `REST` is a recording
+with the drives off."""
 
 
 def is_reference(at: str) -> bool:
@@ -246,9 +247,21 @@ class LoadSection(Section):
         return torque
 
 
+class TiltSection(Section):
+    """What a person does with a vehicle at rest, when the service says so: tilt it over to its other support."""
+
+    after: NotNegative = 5.0
+    """s after the start of the recording."""
+    duration: Positive = 5.0
+    """s that it should take; slowly, so that nobody is hurt and the IMU sees a clean motion."""
+    announcement: str
+    """The sentence that asks the person for it."""
+
+
 class ExperimentSection(Section):
     title: str
-    excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine"]
+    excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine", "silence"]
+    """`silence`: the service withholds setpoints and heartbeat for `width` s, as if its plug had been pulled."""
     at: str = ""
     """Where the excitation is added: one of the injection points of its kind of vehicle, by default the first of
     them."""
@@ -268,6 +281,31 @@ class ExperimentSection(Section):
     share of the amplitude and its phase (deg). `upright multisine` designs one."""
     load: LoadSection | None = None
     """A load that a person puts on the vehicle; it stays until the vehicle lies on its support again."""
+    tilt: TiltSection | None = None
+    """A person tilts the vehicle over, which is at rest with its drives off."""
+
+    @property
+    def asks(self) -> LoadSection | TiltSection | None:
+        """What a person is asked to do during the experiment."""
+        return self.load or self.tilt
+
+    @property
+    def gets_up(self) -> bool:
+        """Whether the vehicle leaves its support."""
+        return self.at != ON_SUPPORT and not (self.at == REST and self.excitation == "none")
+
+    @model_validator(mode="after")
+    def _person_finds_the_vehicle_as_told(self) -> Self:
+        if self.load is not None and not self.gets_up:
+            raise ValueError("a load is put on a vehicle that is up: leave out load, or choose another at")
+        if self.tilt is not None and not (self.at == REST and self.excitation == "none"):
+            raise ValueError('a vehicle is tilted by hand with its drives off: excitation = "none" and at = "rest"')
+        if self.tilt is not None and self.tilt.after + self.tilt.duration > self.duration:
+            raise ValueError(
+                f"the vehicle is tilted {self.tilt.after + self.tilt.duration:g} s after the start, but the duration "
+                f"is {self.duration:g} s: make it longer"
+            )
+        return self
 
     @model_validator(mode="after")
     def _load_is_on_in_time(self) -> Self:
@@ -289,20 +327,23 @@ class ExperimentSection(Section):
             "doublet": ("width",),
             "sine_stream": ("frequencies",),
             "multisine": ("start_frequency", "stop_frequency", "lines") if self.spectrum is None else (),
+            "silence": ("width",),
         }[self.excitation]
         if self.spectrum is not None and self.excitation != "multisine":
             raise ValueError(f"only a multisine has a spectrum, not a {self.excitation}")
         missing = [key for key in needed if getattr(self, key) is None]
         if missing:
             raise ValueError(f"a {self.excitation} needs {', '.join(missing)}")
-        if self.excitation == "none":
+        if (self.excitation == "silence") and self.at != ON_SUPPORT:
+            raise ValueError(f'a vehicle must lie on its support when its drives are left alone: at = "{ON_SUPPORT}"')
+        if self.excitation in ("none", "silence"):
             return self
         on_angle = is_reference(self.at)
         amplitude, other = ("amplitude_deg", "amplitude") if on_angle else ("amplitude", "amplitude_deg")
         if getattr(self, amplitude) is None or getattr(self, other) is not None:
             raise ValueError(f"a {self.excitation} at {self.at} needs {amplitude}, and no {other}")
         if (self.excitation == "step") != (self.at == REST):
-            raise ValueError('the step, and only the step, starts at = "rest"')
+            raise ValueError('of the excitations the step, and only the step, starts at = "rest"')
         return self
 
     @property
@@ -400,7 +441,12 @@ class VehicleFile(Section):
                     f"experiments.{name}: controller = {experiment.controller!r} is not one of a {self.vehicle.kind}; "
                     f"{known}"
                 )
-            if experiment.at not in self.INJECTION_POINTS:
+            if experiment.at == ON_SUPPORT and experiment.amplitude_si > self.largest_on_support:
+                raise ValueError(
+                    f"experiments.{name}: an amplitude of {experiment.amplitude_si:g} on the support is more than the "
+                    f"{self.largest_on_support:.3g} that leave a {self.vehicle.kind} lying there safely"
+                )
+            if experiment.gets_up and experiment.at not in self.INJECTION_POINTS:
                 raise ValueError(
                     f"experiments.{name}: at = {experiment.at!r} is not an injection point of a {self.vehicle.kind}; "
                     f"use one of {', '.join(self.INJECTION_POINTS)}"
@@ -439,6 +485,12 @@ class VehicleFile(Section):
             for name, entry in self.parameters._given.items()
         }
         return self.model_copy(update={"parameters": type(self.parameters).model_validate(known)})
+
+    @property
+    def largest_on_support(self) -> float:
+        """Largest excitation of the drives, in the unit of the controller's output, that leaves the vehicle lying on
+        its support; 0 if that is not known of this kind, which is then not moved there."""
+        return 0.0
 
     @property
     def period(self) -> float:

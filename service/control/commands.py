@@ -10,6 +10,8 @@ disconnects or does not renew it, the experiment ends in order. Every client may
     status              for everybody
     design {source, sha256, values, deviations}, or {back}
                         design the controllers for other parameters, or for those before; on the control socket only
+    commissioning, commissioning {entry}
+                        the steps and what became of them; add an entry, on the control socket only
 """
 
 from __future__ import annotations
@@ -24,12 +26,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from service.control.adopted import VEHICLE_FILE, Adopted, History
+from service.control.commissioned import Record
 from service.control.api import GONE, ExitCode, Message, result
 from service.control.lease import LOOK, Lease
 from service.control.loop import ControlLoop, Mode
 from service.control.sequence import ExperimentRun
 from service.observer.client import ObserverClient
 from service.observer.news import News
+from vehicles.commissioning import Entry
 from vehicles.phases import Phase
 from vehicles.sections import VehicleFile
 
@@ -51,7 +55,7 @@ class Commands:
         data: Path,
     ) -> None:
         """`data` is the folder of the recordings. Raises AdoptedError and ControlDesignError if the parameters that
-        were adopted there cannot be used."""
+        were adopted there cannot be used, RecordError if the record of the commissioning there cannot be read."""
         self.lease: Lease | None = None
         """The lease of the running or last experiment."""
         self._vehicle = vehicle
@@ -62,6 +66,9 @@ class Commands:
         self._data = data
         self.adopted = History.read(data)
         """The parameters for which the controllers are and were designed."""
+        self.record = Record.read(data, vehicle.vehicle.kind)
+        """What was done of the commissioning."""
+        self._publish_record()
         if self.adopted.acting != VEHICLE_FILE:
             file = self.adopted.acting.of(vehicle)
             loop.adopt(file, loop.designed(file))
@@ -79,6 +86,8 @@ class Commands:
                 yield result(ExitCode.REFUSED, "reset", refusal) if refusal else result(ExitCode.DONE)
             case "design":
                 yield await self._design(request)
+            case "commissioning":
+                yield self._commissioning(request)
             case "experiment":
                 async for message in self._experiment(str(request.get("name", "")), str(request["client"])):
                     yield message
@@ -144,6 +153,23 @@ class Commands:
         self._observer.event("info", "design", text)
         return result(ExitCode.DONE, text=text, design=self.adopted.to_json())
 
+    def _commissioning(self, request: Message) -> Message:
+        if "entry" in request:
+            try:
+                entry = Entry.model_validate(request["entry"])
+            except ValidationError as error:
+                return result(ExitCode.USAGE, "bad_request", f"Not an entry: {error.errors()[0]['msg']}.")
+            following = self.record.with_next(entry)
+            following.write(self._data)
+            self.record = following
+            self._publish_record()
+        return result(ExitCode.DONE, commissioning=self.record.to_json())
+
+    def _publish_record(self) -> None:
+        document = self.record.to_json()
+        if document is not None:
+            self._observer.retain("commissioning", document)
+
     async def _stop(self, *, now: bool) -> Message:
         if self._loop.mode is not Mode.RUNNING:
             return result(ExitCode.DONE, text="No experiment was running.")
@@ -176,9 +202,9 @@ class Commands:
                 if run.phase is not phase:
                     phase = run.phase
                     yield {"type": "event", "severity": "info", "code": phase.name.lower(), "text": phase.text}
-                if run.load is not None and not asked:
+                if run.asked is not None and not asked:
                     asked = True
-                    yield {"type": "event", "severity": "info", "code": "load", "text": run.load.announcement}
+                    yield {"type": "event", "severity": "info", "code": "asked", "text": run.asked.announcement}
                 for text in news.of(self._observer.diagnosis):
                     yield {"type": "event", "severity": "warning", "code": "missing_effect", "text": text}
                 yield {

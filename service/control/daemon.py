@@ -234,7 +234,7 @@ class Daemon:
         state = {**self.loop.state(), "held_by": held, "commands": self.vehicle.mqtt.commands}
         if state != self._published:
             self._published = state
-            self.observer.publish_state(state)
+            self.observer.retain("state", state)
 
     def _publish_health(self) -> None:
         """Send the health of this process to the observer."""

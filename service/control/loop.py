@@ -28,7 +28,7 @@ from vehicles import registry
 from vehicles.bounds import OK, Reaction, Verdict
 from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
 from vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
-from vehicles.sections import LoadSection, VehicleFile
+from vehicles.sections import LoadSection, TiltSection, VehicleFile
 
 SYNC = 0x080
 HEARTBEAT = 0x700
@@ -128,7 +128,7 @@ class ControlLoop:
         self._last_ns = 0
         self._late_cycles = 0
         self._phase = Phase.NONE
-        self._load: LoadSection | None = None
+        self._asked: LoadSection | TiltSection | None = None
 
     # The path of a sample
 
@@ -182,8 +182,8 @@ class ControlLoop:
         if run.phase is not self._phase:
             self._phase = run.phase
             self.on_change()
-        if run.load is not self._load:
-            self._announce(run.load)
+        if run.asked is not self._asked:
+            self._announce(run.asked)
         if run.done:
             self._finish_run(Mode.DISARMED, "done", run.failure or run.end_reason)
         return command
@@ -196,8 +196,10 @@ class ControlLoop:
         seen.rate = lean.rate
         seen.setpoint = command.setpoint
         seen.late_cycles = self._late_cycles
-        seen.armed = run is not None and run.phase > Phase.REST
-        seen.should_run = run is not None and run.phase in POWERED
+        # After a silence of the service the drives stop by themselves: that is what the experiment wants to see.
+        watched = run is not None and not run.leaves_drives_alone
+        seen.armed = watched and run is not None and run.phase > Phase.REST
+        seen.should_run = watched and run is not None and run.phase in POWERED
         seen.balancing = run is not None and run.phase in BALANCING
         seen.upright = run is not None and run.phase in UPRIGHT
         return self._safety.judge(seen)
@@ -213,6 +215,9 @@ class ControlLoop:
 
     def _transmit(self, command: Command, now_ns: int) -> None:
         send = self._send
+        if self.run is not None and self.run.silent:
+            send(SYNC, b"", now_ns)
+            return
         for can_id, data in self.io.command(command.target, command.setpoint, command.others):
             send(can_id, data, now_ns)
         send(SYNC, b"", now_ns)
@@ -264,9 +269,9 @@ class ControlLoop:
         self._observer.event("error", code, reason)
 
     @property
-    def load(self) -> LoadSection | None:
-        """What a person is asked to have put on the vehicle."""
-        return self._load
+    def asked(self) -> LoadSection | TiltSection | None:
+        """What a person has been asked to do to the vehicle."""
+        return self._asked
 
     def interlocks(self) -> list[str]:
         """The reasons that prevent an experiment, as sentences; empty if there are none."""
@@ -372,7 +377,8 @@ class ControlLoop:
             "mode": self.mode.value,
             "experiment": run.name if run is not None else None,
             "phase": self._phase.name.lower(),
-            "load": self._load.model_dump(include={"torque", "ramp", "announcement"}) if self._load else None,
+            "load": _told(self._asked, LoadSection, "torque", "ramp"),
+            "tilt": _told(self._asked, TiltSection, "duration"),
             "code": self.code,
             "reason": self.reason,
             "interlocks": self.interlocks(),
@@ -389,16 +395,16 @@ class ControlLoop:
     def _finish_run(self, mode: Mode, code: str, reason: str) -> None:
         self.run = None
         self._phase = Phase.NONE
-        self._load = None
+        self._asked = None
         self._enter(mode, code, reason)
         if self._recording and mode is not Mode.FAULT:
             self._end_recording()
 
-    def _announce(self, load: LoadSection | None) -> None:
-        """Ask for a load: people see it on every screen, and a virtual vehicle carries it."""
-        self._load = load
-        if load is not None:
-            self._observer.event("info", "load", load.announcement)
+    def _announce(self, asked: LoadSection | TiltSection | None) -> None:
+        """Ask a person for something: people see it on every screen, and a virtual vehicle undergoes it."""
+        self._asked = asked
+        if asked is not None:
+            self._observer.event("info", "load" if isinstance(asked, LoadSection) else "tilt", asked.announcement)
         self.on_change()
 
     def _begin_recording(self) -> None:
@@ -436,3 +442,10 @@ class ControlLoop:
             self._transmit(IDLE, self._last_ns)
             self._send(self._heartbeat_id, OPERATIONAL, self._last_ns)
             self._notifier.watchdog()
+
+
+def _told(
+    asked: LoadSection | TiltSection | None, kind: type[LoadSection | TiltSection], *keys: str
+) -> dict[str, Any] | None:
+    """What a person has been asked to do, for the state, if it is of this `kind`."""
+    return asked.model_dump(include={*keys, "announcement"}) if isinstance(asked, kind) else None

@@ -1,9 +1,10 @@
 """The phases of an experiment, from rest on a support back to rest on a support. Pure.
 
     rest -> enable -> centre -> rise -> settle -> excite -> fade -> lower -> centre back -> disable
+    rest -> enable -> centre -> move -> centre back -> disable        if it stays on its support
+    rest -> disable                                                   if its drives stay off
 
-Every experiment has all phases, so that each has one verb, one recording, and ends in a state in which the vehicle may
-be touched. `ExperimentRun.step` is called once per control cycle and returns the command for the drives. It is
+Each experiment has one verb, one recording, and ends in a state in which the vehicle may be touched. `ExperimentRun.step` is called once per control cycle and returns the command for the drives. It is
 independent of bus and clock and only uses the time of the samples. The phases are the same for every vehicle; rising,
 balancing and lowering depend on the kind of vehicle (`vehicles.contract.Handling`).
 """
@@ -18,7 +19,7 @@ from drivers.cia402.states import State
 from vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
 from vehicles.excitation import Excitation, make_excitation
 from vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
-from vehicles.sections import LoadSection, VehicleFile
+from vehicles.sections import REST, LoadSection, TiltSection, VehicleFile
 
 AT_REST_ANGLE = 0.0175
 """rad (1 deg): tolerance of the angle for resting on a support."""
@@ -26,20 +27,28 @@ AT_REST_ANGLE = 0.0175
 AT_REST_RATE = 0.01
 """rad/s: tolerance of the rate of that angle."""
 
+SILENCE_AFTER = 1.0
+"""s of holding still before a silence begins."""
 
+
+_UP = (Phase.RISE, Phase.SETTLE, Phase.EXCITE, Phase.FADE, Phase.LOWER)
 _NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase.LOWER}
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The parts of an experiment. `support` in rad; `angle` is the name of the angle of the fall; `load` is what a
-    person puts on the vehicle, if any."""
+    """The parts of an experiment. `support` in rad; `angle` is the name of the angle of the fall; `asks` is what a
+    person does to the vehicle, if anything. `gets_up`: it leaves its support; `powered`: its drives are on; `silence`:
+    s without setpoints and heartbeat."""
 
     excitation: Excitation
     handling: Handling[Any]
     support: float
     angle: str
-    load: LoadSection | None
+    asks: LoadSection | TiltSection | None
+    gets_up: bool
+    powered: bool
+    silence: float
 
 
 def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -> Plan:
@@ -49,12 +58,21 @@ def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -
     """
     section = vehicle.experiments[experiment]
     excitation = make_excitation(section, float(vehicle.control.rate))
-    return Plan(excitation, pilot.handling(excitation, section.controller), vehicle.support, angle, section.load)
+    return Plan(
+        excitation,
+        pilot.handling(excitation, section.controller),
+        vehicle.support,
+        angle,
+        section.asks,
+        gets_up=section.gets_up,
+        powered=section.gets_up or section.at != REST,
+        silence=(section.width or 0.0) if section.excitation == "silence" else 0.0,
+    )
 
 
 class ExperimentRun:
-    """The course of one experiment. `done` when it has ended; `failure` is the reason if it did not succeed; `load` is
-    what is on the vehicle, from its time on until the end, None before."""
+    """The course of one experiment. `done` when it has ended; `failure` is the reason if it did not succeed; `asked` is
+    what a person has been asked to do, from its time on until the end, None before."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         self.name = name
@@ -62,7 +80,7 @@ class ExperimentRun:
         self.failure = ""
         self.end_reason = ""
         self.done = False
-        self.load: LoadSection | None = None
+        self.asked: LoadSection | TiltSection | None = None
         self._plan = plan
         self._handling = plan.handling
         self._phase_time = 0.0
@@ -70,9 +88,11 @@ class ExperimentRun:
     @property
     def fraction(self) -> float:
         """Elapsed share of the expected time, 0 to 1; phases of unknown length are not counted."""
-        timed = (*DURATIONS, Phase.EXCITE)
-        before = sum(self._duration(phase) for phase in timed if phase < self.phase)
-        return min(1.0, (before + (self._phase_time if self.phase in timed else 0.0)) / self._expected)
+        course = self._course
+        if self.phase not in course:
+            return 0.0 if self.phase < Phase.RISE else 1.0
+        before = sum(self._duration(phase) for phase in course[: course.index(self.phase)])
+        return min(1.0, (before + (self._phase_time if self._is_timed(self.phase) else 0.0)) / self._expected)
 
     @property
     def remaining(self) -> float:
@@ -80,11 +100,36 @@ class ExperimentRun:
         return (1.0 - self.fraction) * self._expected
 
     @property
+    def silent(self) -> bool:
+        """Whether setpoints and heartbeat are withheld now."""
+        return self.phase is Phase.MOVE and 0.0 <= self._phase_time - SILENCE_AFTER < self._plan.silence
+
+    @property
+    def leaves_drives_alone(self) -> bool:
+        """Whether the drives may be in any state: they have been without setpoints, or may have been."""
+        return self.phase is Phase.MOVE and self._plan.silence > 0.0 and self._phase_time >= SILENCE_AFTER
+
+    @property
+    def _course(self) -> tuple[Phase, ...]:
+        """The phases of this experiment, in order."""
+        if not self._plan.powered:
+            return (Phase.REST, Phase.DISABLE)
+        between = _UP if self._plan.gets_up else (Phase.MOVE,)
+        return (Phase.REST, Phase.ENABLE, Phase.CENTRE, *between, Phase.CENTRE_BACK, Phase.DISABLE)
+
+    @property
     def _expected(self) -> float:
-        return self._plan.excitation.duration + sum(DURATIONS.values())
+        return sum(self._duration(phase) for phase in self._course)
+
+    def _is_timed(self, phase: Phase) -> bool:
+        return phase in DURATIONS or phase in (Phase.EXCITE, Phase.MOVE)
 
     def _duration(self, phase: Phase) -> float:
-        return self._plan.excitation.duration if phase is Phase.EXCITE else DURATIONS[phase]
+        """s that the phase lasts; 0 if that is not known before."""
+        if phase in (Phase.EXCITE, Phase.MOVE):
+            return self._plan.excitation.duration
+        at_rest = self._plan.excitation.duration if phase is Phase.REST and not self._plan.powered else 0.0
+        return DURATIONS.get(phase, 0.0) + at_rest
 
     def end(self, reason: str) -> None:
         """End early and in order: if the vehicle is up, it is lowered first."""
@@ -93,6 +138,8 @@ class ExperimentRun:
         self.end_reason = reason
         if self.phase in (Phase.REST, Phase.ENABLE, Phase.CENTRE):
             self._enter(Phase.DISABLE)
+        elif self.phase is Phase.MOVE:
+            self._enter(Phase.CENTRE_BACK)
         elif self.phase in UPRIGHT:
             self._enter(Phase.LOWER)
 
@@ -113,7 +160,9 @@ class ExperimentRun:
                     self._enter(Phase.CENTRE)
                 return HOLD
             case Phase.CENTRE:
-                return self._centre(drives, then=Phase.RISE)
+                return self._centre(drives, then=Phase.RISE if self._plan.gets_up else Phase.MOVE)
+            case Phase.MOVE:
+                return self._move(dt, drives, state)
             case Phase.RISE:
                 return self._get_up(dt, lean, drives)
             case Phase.SETTLE | Phase.EXCITE | Phase.FADE:
@@ -144,7 +193,11 @@ class ExperimentRun:
             self._fail(reason, go_on=Phase.CENTRE_BACK if self.phase is Phase.LOWER else Phase.DISABLE)
 
     def _rest(self, lean: Lean) -> Command:
-        if self._phase_time >= DURATIONS[Phase.REST]:
+        if not self._plan.powered:
+            self._ask(self._phase_time - DURATIONS[Phase.REST])
+            if self._phase_time >= self._duration(Phase.REST):
+                self._enter(Phase.DISABLE)
+        elif self._phase_time >= DURATIONS[Phase.REST]:
             off = abs(abs(lean.angle) - self._plan.support)
             if off > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
                 self._fail(
@@ -156,6 +209,20 @@ class ExperimentRun:
             else:
                 self._enter(Phase.ENABLE)
         return IDLE
+
+    def _ask(self, time: float) -> None:
+        """Ask a person for what the experiment wants, once its time has come; `time` s since the start."""
+        asks = self._plan.asks
+        if asks is not None and time >= asks.after:
+            self.asked = asks
+
+    def _move(self, dt: float, drives: Any, state: State | None) -> Command:
+        """On the support: follow the excitation, or hold still and be silent."""
+        command = self._handling.move(dt, drives, self._plan.excitation.value(self._phase_time))
+        if self._phase_time >= self._plan.excitation.duration:
+            # After a silence the drives have stopped by themselves: they are set up again before they move.
+            self._enter(Phase.CENTRE_BACK if state is State.OPERATION_ENABLED else Phase.DISABLE)
+        return IDLE if self.leaves_drives_alone else command
 
     def _centre(self, drives: Any, then: Phase) -> Command:
         command = self._handling.centre(drives)
@@ -177,9 +244,7 @@ class ExperimentRun:
         value = 0.0
         if self.phase is Phase.EXCITE:
             value = self._plan.excitation.value(self._phase_time)
-            load = self._plan.load
-            if load is not None and self._phase_time >= load.after:
-                self.load = load
+            self._ask(self._phase_time)
         command = self._handling.balance(dt, lean, drives, value)
         if self._phase_time >= self._duration(self.phase):
             self._enter(_NEXT[self.phase])

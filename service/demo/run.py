@@ -88,7 +88,7 @@ async def _run(
                 BUS,
                 punctual=port is not None,
                 disturbance=disturbance,
-                load=lambda: carried(daemon.loop.load),
+                load=lambda: carried(daemon.loop.asked),
             ),
         ):
             serving = asyncio.create_task(daemon.run(), name="daemon")

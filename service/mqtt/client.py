@@ -39,7 +39,7 @@ MOST_TELEMETRY = 60
 MOST_EVENTS = 200
 """Maximum number of messages that wait for the broker; the oldest are dropped."""
 
-RETAINED = ("state", "parameters", "diagnosis")
+RETAINED = ("state", "parameters", "diagnosis", "commissioning")
 """Topics whose last message the broker keeps, besides `status`."""
 
 MOST_COMMANDS = 200

@@ -38,6 +38,14 @@ class Load(Message):
     announcement: str
 
 
+class Tilt(Message):
+    """How a person is asked to tilt the vehicle over to its other support."""
+
+    duration: float
+    """s that it should take."""
+    announcement: str
+
+
 class State(Message):
     """The state of the vehicle, and its interlocks."""
 
@@ -47,6 +55,8 @@ class State(Message):
     phase: str
     load: Load | None
     """The load that the running experiment asks for, from its time on."""
+    tilt: Tilt | None
+    """The same of a tilt by hand."""
     code: str
     reason: str
     interlocks: list[str]
@@ -148,6 +158,67 @@ class Diagnosis(BaseModel):
     """By joint; absent or empty until it is known."""
 
 
+class AcceptanceOfStep(Message):
+    """A number that has to lie within limits for a step to be accepted."""
+
+    quantity: str
+    title: str
+    unit: str
+    least: Number
+    most: Number
+    limits: str
+    """In words."""
+    remedy: str
+    value: Number
+    std: Number
+    within: bool | None
+    """Null before the step was carried out."""
+
+
+class NumberOfStep(Message):
+    value: Number
+    std: Number
+    unit: str
+
+
+class StepOfCommissioning(Message):
+    """A step with what became of it."""
+
+    id: str
+    title: str
+    why: str
+    why_now: str
+    needs: list[str]
+    """Ids of steps that have to be done before."""
+    prepare: str
+    """What a person does, or makes sure of, before it begins."""
+    experiment: str
+    """The experiment that is run first; empty if there is none."""
+    evaluate: str
+    of: list[str]
+    """Ids of steps whose recordings and results it uses."""
+    state: Literal["open", "waiting", "accepted", "not_accepted", "failed", "skipped"]
+    acceptance: list[AcceptanceOfStep]
+    date: str
+    by: str
+    numbers: dict[str, NumberOfStep]
+    text: list[str]
+    reason: str
+    """Why it was skipped, or could not be carried out."""
+    recording: str
+    files: dict[str, str]
+    """Files that were written, with their SHA-256."""
+
+
+class Commissioning(Message):
+    """The steps of the commissioning, in order."""
+
+    began: str
+    next: str | None
+    """The step that comes next; null if all are done."""
+    steps: list[StepOfCommissioning]
+
+
 class Progress(Message):
     task: str
     fraction: Annotated[float, Field(ge=0.0, le=1.0)]
@@ -215,6 +286,7 @@ TOPICS: dict[str, type[BaseModel]] = {
     "telemetry": Telemetry,
     "parameters": Parameter,
     "diagnosis": Diagnosis,
+    "commissioning": Commissioning,
     "progress": Progress,
     "event": Event,
     "cmd": Command,

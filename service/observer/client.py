@@ -52,7 +52,8 @@ class ObserverClient:
         self._watch: asyncio.Task[None] | None = None
         self._stopping = False
         self._raw_log: RawLogProcess | None = None
-        self._state = b""
+        self._kept: dict[str, bytes] = {}
+        """The last message of each retained topic, for an observer that is started later."""
         self._report: dict[str, Any] = {}
         self._recording: dict[str, Any] = {}
         self._dropped_before = 0
@@ -97,8 +98,8 @@ class ObserverClient:
         pipe = self._pipe = ObserverPipe(own, channels, self._counts, self._handle, lossless=self._lossless)
         self._watch = asyncio.create_task(self._wait_for_exit(self._process, pipe), name="watch the observer")
         pipe.post(link.pack_json({"type": "hello", **self._hello}))
-        if self._state:
-            pipe.post(self._state)
+        for message in self._kept.values():
+            pipe.post(message)
 
     async def stop(self) -> None:
         """Let the observer finish its recording, disconnect from the broker and end; killed after `ORDERLY_END` s."""
@@ -179,11 +180,11 @@ class ObserverClient:
         except TimeoutError:
             return self._unfinished(f"not finished within {timeout:g} s")
 
-    def publish_state(self, state: dict[str, Any]) -> None:
-        """Send the state to be retained; an observer that is started later gets it, too."""
-        self._state = link.pack_json({"type": "state", "state": state})
+    def retain(self, topic: str, document: dict[str, Any]) -> None:
+        """Send a document to be retained by the broker; an observer that is started later gets it, too."""
+        message = self._kept[topic] = link.pack_json({"type": "retain", "topic": topic, "document": document})
         if self._pipe is not None:
-            self._pipe.post(self._state)
+            self._pipe.post(message)
 
     def progress(self, task: str, fraction: float, remaining: float) -> None:
         """Send the progress of a running task, 0 to 1, and its remaining time, s."""

@@ -180,8 +180,8 @@ class Observer:
                 self._start_recording(message)
             case "stop_recording":
                 self._stop_recording(message)
-            case "state" if self._mqtt is not None:
-                self._mqtt.retain("state", message["state"])
+            case "retain" if self._mqtt is not None:
+                self._mqtt.retain(message["topic"], message["document"])
             case "progress" | "event" as topic if self._mqtt is not None:
                 self._mqtt.publish(topic, message)
             case "health":

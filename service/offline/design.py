@@ -184,8 +184,8 @@ def designed(vehicle: VehicleFile, result: Result) -> Designed:
 def _expected(vehicle: VehicleFile, model: Model, name: str, predict: Callable[[str], Experiment]) -> Expected:
     section = vehicle.experiments[name]
     controller = section.controller or next(iter(vehicle.CONTROLLERS), "")
-    if section.at == REST:
-        return Expected(name, controller, broken="it starts at rest, which is not predicted")
+    if section.at == REST or not section.gets_up:
+        return Expected(name, controller, broken="the vehicle is on its support, which is not predicted")
     try:
         experiment = predict(name)
     except ExcitationError as error:

@@ -168,7 +168,7 @@ class _Stand:
 
     @property
     def at(self) -> str:
-        used = {each.at for each in self.vehicle.experiments.values() if each.excitation != "none"}
+        used = {each.at for each in self.vehicle.experiments.values() if each.excitation != "none" and each.gets_up}
         return next((each for each in self.vehicle.INJECTION_POINTS if each in used and each != REST), "")
 
     def section(self, peak: float, **keys: Any) -> ExperimentSection:
@@ -318,7 +318,7 @@ def _others(vehicle: VehicleFile, model: Model) -> list[Candidate]:
     predict = registry.of(vehicle.vehicle.kind).prediction().of(vehicle)
     found = []
     for name, section in vehicle.experiments.items():
-        if section.at == REST or section.excitation == "none":
+        if section.at == REST or section.excitation == "none" or not section.gets_up:
             continue
         try:
             seen = predicted_information(model, predict(name))

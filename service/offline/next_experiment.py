@@ -42,7 +42,7 @@ def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, st
     for name, section in vehicle.experiments.items():
         if section.excitation == "none":
             left_out[name] = "has no excitation"
-        elif section.at == REST:
+        elif section.at == REST or not section.gets_up:
             left_out[name] = "starts on a support, which the models do not include"
         else:
             try:

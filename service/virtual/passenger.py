@@ -12,16 +12,21 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.control import api
-from simulation.load import Load
-from vehicles.sections import LoadSection
+from simulation.load import Load, Tilt
+from vehicles.sections import LoadSection, TiltSection
 
 LOOK = 0.2
 """s between two looks at the daemon's state."""
 
 
-def carried(asked: LoadSection | None) -> Load | None:
-    """The load that a virtual vehicle carries when its daemon asks for `asked`."""
-    return Load(asked.torque, asked.ramp) if asked is not None else None
+def carried(asked: LoadSection | TiltSection | None) -> Load | Tilt | None:
+    """What a virtual vehicle undergoes when its daemon asks for `asked`."""
+    match asked:
+        case LoadSection():
+            return Load(asked.torque, asked.ramp)
+        case TiltSection():
+            return Tilt(asked.duration)
+    return None
 
 
 class Passenger:
@@ -30,9 +35,9 @@ class Passenger:
 
     def __init__(self, sockets: Sequence[Path]) -> None:
         self._sockets = list(sockets)
-        self._load: Load | None = None
+        self._load: Load | Tilt | None = None
 
-    def __call__(self) -> Load | None:
+    def __call__(self) -> Load | Tilt | None:
         return self._load
 
     def look(self) -> None:
@@ -41,8 +46,8 @@ class Passenger:
             status = list(api.call(self._sockets, {"verb": "status"}, timeout=1.0))[-1].get("status") or {}
         except (api.ApiError, ValueError):
             status = {}
-        asked = status.get("load")
-        self._load = Load(asked["torque"], asked["ramp"]) if asked else None
+        load, tilt = status.get("load"), status.get("tilt")
+        self._load = Load(load["torque"], load["ramp"]) if load else Tilt(tilt["duration"]) if tilt else None
 
 
 @contextmanager

@@ -138,7 +138,7 @@ class ClosedLoop:
             while self._inbox:
                 frames, self._inbox = self._inbox, []
                 on_frames(frames)
-            plant.carry(carried(self.loop.load))
+            plant.carry(carried(self.loop.asked))
             plant.advance_steps(rest)
 
     def until(self, over: Callable[[], bool], limit: float) -> None:

@@ -19,7 +19,7 @@ from drivers.bus_address import connect
 from service.virtual import vehicle as virtual_vehicle
 from simulation import runner
 from simulation.disturbance import Disturbance
-from simulation.load import Load
+from simulation.load import Load, Tilt
 from vehicles.sections import VehicleFile
 
 BUS = "virtual:upright-virtual"
@@ -57,7 +57,7 @@ def virtual_vehicle_beside(
     *,
     punctual: bool = True,
     disturbance: Disturbance | None = None,
-    load: Callable[[], Load | None] = runner.nothing,
+    load: Callable[[], Load | Tilt | None] = runner.nothing,
 ) -> Iterator[None]:
     """The virtual vehicle on the in-process `bus`, until the end of the block.
 

@@ -16,7 +16,7 @@ from simulation import runner
 from simulation.config import DriveNode, ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance
 from simulation.faults import Fault
-from simulation.load import Load
+from simulation.load import Load, Tilt
 from simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
 from simulation.runner import RunStatistics
 from vehicles import registry
@@ -99,7 +99,7 @@ def run(
     stop: threading.Event,
     lock_step: bool = False,
     faults: Sequence[Fault] = (),
-    load: Callable[[], Load | None] = runner.nothing,
+    load: Callable[[], Load | Tilt | None] = runner.nothing,
 ) -> RunStatistics:
     """Run a virtual vehicle on the buses at the addresses `drives` and `imu` (IFACE:CHANNEL) until `stop` is set.
     `load()` is asked every cycle what is on the vehicle.

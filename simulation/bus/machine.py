@@ -16,7 +16,7 @@ Motion = tuple[float, ...]
 
 
 class Machine(ABC):
-    """A vehicle's mechanics, integrated in steps of `step_size` s."""
+    """A vehicle's mechanics, integrated in steps of `step_size` s. `falling_inertia`: kg m^2, see `Truth`."""
 
     name: ClassVar[str]
     """Its name in messages, with the article."""
@@ -25,12 +25,12 @@ class Machine(ABC):
     falling_axis: ClassVar[int]
     """0: it falls about x (roll); 1: about y (tilt)."""
 
-    def __init__(self, step_size: float) -> None:
+    def __init__(self, step_size: float, falling_inertia: float) -> None:
         self.step_size = step_size
         self.steps = 0
         self.event_origin: float | None = None
         """Time of the first SYNC, from which events are counted; None before it."""
-        self.load = LoadTorque(step_size)
+        self.load = LoadTorque(step_size, falling_inertia)
 
     @property
     def time(self) -> float:

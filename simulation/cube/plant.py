@@ -40,7 +40,7 @@ class CubePlant(Machine):
         truth = config.plant
         if not isinstance(truth, CubeTruth):
             raise TypeError(f"the physics of a cube are needed, not {type(truth).__name__}")
-        super().__init__(config.step)
+        super().__init__(config.step, truth.falling_inertia)
         check_onsets(config.onsets, truth.registry)
         sizes = config.sizes
         self.wheel = Wheel(truth, self.step_size, input_effects(sizes, self.step_size), config.seed)
@@ -100,7 +100,7 @@ class CubePlant(Machine):
             on_body += effect(self)
         for random in self._random_torques:
             on_body += random.torque(self.event_clock)
-        on_body += self.load.torque()
+        on_body += self.load.torque(self.tilt, self.tilt_rate)
         self._tilt_acceleration = on_body / self._inertia
         self._wheel_acceleration = on_wheel / truth.wheel_inertia - self._tilt_acceleration
 

@@ -45,7 +45,7 @@ class Plant(Machine):
         step = config.step
         sizes = config.sizes
         check_onsets(config.onsets, truth.registry)
-        super().__init__(step)
+        super().__init__(step, truth.falling_inertia)
         self.gimbals = tuple(
             Gimbal(
                 ServoAxis(
@@ -154,7 +154,7 @@ class Plant(Machine):
             torque += effect.torque(self)
         for random in self._random_torques:
             torque += random.torque(self.event_clock)
-        torque += self.load.torque()
+        torque += self.load.torque(roll, rate)
         inertia = self._inertia + mass * trim.position * trim.position
         if trim.mode is AxisMode.BRAKED:
             trim.rate = self._trim_acceleration = 0.0

@@ -38,7 +38,7 @@ class TwsbrPlant(Machine):
         truth = config.plant
         if not isinstance(truth, TwsbrTruth):
             raise TypeError(f"the physics of a balancing robot are needed, not {type(truth).__name__}")
-        super().__init__(config.step)
+        super().__init__(config.step, truth.falling_inertia)
         sizes, onsets = config.sizes, config.onsets
         check_onsets(onsets, truth.registry)
         self.mechanics = Mechanics(truth, backlash=sizes.get("backlash", 0.0), slope=sizes.get("slope", 0.0))
@@ -110,7 +110,7 @@ class TwsbrPlant(Machine):
         on_tilt = sum([effect(tilt, time, clock) for effect in self._tilt_effects])
         for random in self._random_torques:
             on_tilt += random.torque(clock)
-        on_tilt += self.load.torque()
+        on_tilt += self.load.torque(tilt, self.state[PLACES + TILT])
         self._held = (
             sum([effect(left, clock) for effect in self._wheel_effects[0]]),
             sum([effect(right, clock) for effect in self._wheel_effects[1]]),

@@ -53,8 +53,8 @@ async def connected(client: ObserverClient) -> None:
 async def test_experiment_publishes_state_events_progress_and_results(
     client: ObserverClient, broker: Mosquitto
 ) -> None:
-    client.publish_state({"mode": "starting"})
-    client.publish_state(STATE)
+    client.retain("state", {"mode": "starting"})
+    client.retain("state", STATE)
     await connected(client)
     frames = cycles()
     async with Watcher(broker.port) as watcher:
@@ -111,7 +111,7 @@ async def test_telemetry_publishes_the_cycles_in_batches(client: ObserverClient,
 async def test_killed_observer_is_published_as_offline_and_a_new_one_as_online(
     client: ObserverClient, broker: Mosquitto
 ) -> None:
-    client.publish_state(STATE)
+    client.retain("state", STATE)
     await connected(client)
     assert client.pid is not None
     async with Watcher(broker.port) as watcher:
@@ -139,14 +139,14 @@ async def test_recording_continues_without_the_broker_and_publishing_resumes(
     client: ObserverClient, broker: Mosquitto
 ) -> None:
     frames = cycles()
-    client.publish_state(STATE)
+    client.retain("state", STATE)
     await connected(client)
     broker.stop()
     summary = await record(client, frames)  # as if there had never been a broker
     assert (summary["failure"], summary["rows"]) == ("", len(frames))
     await until(lambda: client.statistics()["mqtt"]["trouble"])
     client.event("info", "while_away", "told later")
-    client.publish_state({**STATE, "mode": "running"})
+    client.retain("state", {**STATE, "mode": "running"})
     broker.start()
     async with Watcher(broker.port) as watcher:
         await until(lambda: watcher.of("status") == ["online"])

@@ -296,7 +296,7 @@ async def test_everything_published_conforms_to_the_schemas(control: Control, br
     }  # fmt: skip
     async with Watcher(broker.port) as watcher:
         await asyncio.sleep(0.5)
-        control.client.publish_state(state)
+        control.client.retain("state", state)
         control.client.progress("sweep", 0.25, 30.0)
         control.client.event("info", "code", "text")
         await record(control.client, cycles())

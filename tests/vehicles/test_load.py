@@ -116,13 +116,13 @@ def test_impossible_load_is_refused(change: dict[str, float], message: str) -> N
 
 
 def test_virtual_load_comes_and_goes_as_a_ramp() -> None:
-    subject = LoadTorque(1e-3)
-    assert [subject.torque() for _ in range(3)] == [0.0] * 3
+    subject = LoadTorque(1e-3, 1650.0)
+    assert [subject.torque(0.0, 0.0) for _ in range(3)] == [0.0] * 3
     subject.carry(Load(-40.0, 0.1))
-    rising = [subject.torque() for _ in range(150)]
+    rising = [subject.torque(0.0, 0.0) for _ in range(150)]
     np.testing.assert_allclose(rising, np.maximum(-0.4 * np.arange(1, 151), -40.0), atol=1e-9)
     subject.carry(None)
-    falling = [subject.torque() for _ in range(150)]
+    falling = [subject.torque(0.0, 0.0) for _ in range(150)]
     np.testing.assert_allclose(falling, np.minimum(-40.0 + 0.4 * np.arange(1, 151), 0.0), atol=1e-9)
 
 

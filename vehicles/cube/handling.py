@@ -58,6 +58,10 @@ class CubeHandling:
         most = BRAKING_SHARE * self._gravity_stiffness * sin(self._support)
         return Command(State.OPERATION_ENABLED, -copysign(most, drives.rate))
 
+    def move(self, dt: float, drives: WheelMeasurement, excitation: float) -> Command:
+        """A torque at the wheel."""
+        return Command(State.OPERATION_ENABLED, excitation, 0.0, excitation)
+
     @property
     def risen(self) -> bool:
         return self._rising.risen

@@ -20,6 +20,8 @@ from vehicles.sections import (
     VehicleFile,
 )
 
+ROLL_REFERENCE, TRIM_RATE = "roll_reference", "trim_rate"
+"""Injection points of its own: the reference of the roll angle, rad, and the rate of the trim mass, m/s."""
 REDUCED, FULL = "reduced", "full"
 """The controllers: of the roll angle by the gimbals alone, and with the trim mass, which brings the gimbals back."""
 
@@ -114,7 +116,7 @@ class MonocabFile(VehicleFile):
     """A monorail vehicle that two or more gimbals hold up, with or without a trim mass."""
 
     ROLES: ClassVar[Mapping[str, Role]] = {"gimbal": Role(1, 16), "trim": Role(0, 1, follows=1, linear=True)}
-    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("roll_reference", REST, CONTROLLER_OUTPUT)
+    INJECTION_POINTS: ClassVar[tuple[str, ...]] = (ROLL_REFERENCE, REST, CONTROLLER_OUTPUT, TRIM_RATE)
     CONTROLLERS: ClassVar[tuple[str, ...]] = (REDUCED, FULL)
 
     limits: MonocabLimits
@@ -128,6 +130,12 @@ class MonocabFile(VehicleFile):
             name = self.full_experiments[0]
             raise ValueError(f'experiments.{name}: controller = "{FULL}" needs a trim mass: add its drive')
         return self
+
+    @property
+    def largest_on_support(self) -> float:
+        """rad/s of precession: half the torque that would lift the vehicle off its support."""
+        values = self.parameters.values
+        return 0.5 * values["gravity_stiffness"] * self.support / values["angular_momentum"]
 
     @property
     def full_experiments(self) -> list[str]:

@@ -19,7 +19,7 @@ from vehicles.monocab.control.full import FullController, FullState
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel, rise_rate
 from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, MonocabFile
+from vehicles.monocab.file import FULL, ROLL_REFERENCE, TRIM_RATE, MonocabFile
 from vehicles.sections import REST
 
 CENTRE_RATE = 0.08
@@ -28,7 +28,7 @@ CENTRE_RATE = 0.08
 CENTRED = 0.005
 """rad of precession that counts as the middle."""
 
-TRIM_RATE = 0.03
+TRIM_BACK_RATE = 0.03
 """m/s, at rest. A trim mass of 500 kg at 0.4 m that reaches it within 0.08 s reacts with 75 N m, less than a tenth of
 what would lift the vehicle off its support."""
 
@@ -39,9 +39,18 @@ DECAYED = 0.01
 """Share to which the motion of getting up has decayed when the full controller takes over."""
 
 
+def entering(at: str, excitation: float) -> tuple[float, float, float]:
+    """The excitation of roll reference (rad), precession rate (rad/s) and trim rate (m/s) if it enters `at`."""
+    if at == ROLL_REFERENCE:
+        return excitation, 0.0, 0.0
+    if at == TRIM_RATE:
+        return 0.0, 0.0, excitation
+    return 0.0, excitation, 0.0
+
+
 class GimbalHandling:
     """Setpoints are precession rates, rad/s, and those of the trim mass, m/s. `support` and `budget` (of precession) in
-    rad. `full` takes over after `settling` s upright; None if the reduced controller stays."""
+    rad. The excitation enters `at` an injection point; on the support the trim mass moves by `trim_per_gimbal` m/rad. `full` takes over after `settling` s upright; None if the reduced controller stays."""
 
     def __init__(
         self,
@@ -51,7 +60,8 @@ class GimbalHandling:
         *,
         support: float,
         budget: float,
-        on_reference: bool,
+        at: str,
+        trim_per_gimbal: float,
         full: FullController | None,
         settling: float,
     ) -> None:
@@ -60,7 +70,8 @@ class GimbalHandling:
         self._parameters = parameters
         self._support = support
         self._budget = budget
-        self._on_reference = on_reference
+        self._at = at
+        self._trim_per_gimbal = trim_per_gimbal
         self._full = full
         self._settling = settling
         self._upright, self._fully = 0.0, False
@@ -88,7 +99,8 @@ class GimbalHandling:
             parameters,
             support=vehicle.support,
             budget=radians(vehicle.limits.precession_budget_deg),
-            on_reference=excitation.on_reference,
+            at=excitation.at,
+            trim_per_gimbal=vehicle.limits.trim_rate / vehicle.limits.precession_rate,
             full=FullController.from_design(full, vehicle) if full and controller == FULL else None,
             settling=reduced.settling(DECAYED),
         )
@@ -113,8 +125,13 @@ class GimbalHandling:
         if abs(drives.precession) < CENTRED and abs(off) < TRIM_BACK:
             return None
         rate = max(-CENTRE_RATE, min(CENTRE_RATE, -2.0 * drives.precession))
-        trim = max(-TRIM_RATE, min(TRIM_RATE, -2.0 * off)) if abs(off) >= TRIM_BACK else 0.0
+        trim = max(-TRIM_BACK_RATE, min(TRIM_BACK_RATE, -2.0 * off)) if abs(off) >= TRIM_BACK else 0.0
         return Command(State.OPERATION_ENABLED, rate, others=(trim,))
+
+    def move(self, dt: float, drives: GimbalMeasurement, excitation: float) -> Command:
+        """The gimbals, and the trim mass in the same proportion of its limit."""
+        trim = excitation * self._trim_per_gimbal
+        return Command(State.OPERATION_ENABLED, excitation, 0.0, excitation, others=(trim,))
 
     def rise(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
         """The paper's step from rest, which is an excitation of its own."""
@@ -134,16 +151,17 @@ class GimbalHandling:
         self._upright += dt
         if self._full is not None and self._upright > self._settling:
             return self._balance_fully(self._full, dt, lean, drives, excitation)
-        reference, output = (excitation, 0.0) if self._on_reference else (0.0, excitation)
+        reference, output, trim = entering(self._at, excitation)
         rate = self._controller.step(
             lean.angle, lean.rate, drives.precession_rate, drives.precession, reference, dt, output
         )
-        return Command(State.OPERATION_ENABLED, rate, self._controller.reference, excitation)
+        others = (trim,) if self._at == TRIM_RATE else ()
+        return Command(State.OPERATION_ENABLED, rate, self._controller.reference, excitation, others=others)
 
     def _balance_fully(
         self, full: FullController, dt: float, lean: Lean, drives: GimbalMeasurement, excitation: float
     ) -> Command:
-        reference, output = (excitation, 0.0) if self._on_reference else (0.0, excitation)
+        reference, output, trim = entering(self._at, excitation)
         state = FullState(
             lean.angle - reference,
             lean.rate,
@@ -156,7 +174,9 @@ class GimbalHandling:
             full.take_over(state, self._controller.setpoint)
             self._fully = True
         full.step(state, dt, output)
-        return Command(State.OPERATION_ENABLED, full.setpoint, reference, excitation, others=(full.trim_setpoint,))
+        return Command(
+            State.OPERATION_ENABLED, full.setpoint, reference, excitation, others=(full.trim_setpoint + trim,)
+        )
 
     def lower(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
         """Onto the support it came from, unless that would turn the gimbals too far."""

@@ -18,6 +18,7 @@ from vehicles.monocab.control.full import FullController, FullState, full_if_use
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import FULL, MonocabFile
+from vehicles.monocab.handling import entering
 from vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"roll", "roll_rate"})
@@ -104,7 +105,7 @@ def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitati
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal trim_position, precession, trim_rate, roll_rate
         value, before = excitation.value(time), controller.setpoint
-        reference, output = (value, 0.0) if excitation.on_reference else (0.0, value)
+        reference, output, of_trim = entering(excitation.at, value)
         precession = seen.get("precession", precession)
         rate = seen.get("precession_rate", gimbals.rate)
         state = FullState(seen["roll"] - reference, seen["roll_rate"], trim_position, trim_rate, precession, rate)
@@ -112,7 +113,7 @@ def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitati
         trim_before, rate_before = trim_rate, gimbals.rate
         pushed = GRAVITY * seen["roll"] - height * (seen["roll_rate"] - roll_rate) / period
         roll_rate = seen["roll_rate"]
-        trim_rate = trim.step(controller.trim_setpoint, -pushed)
+        trim_rate = trim.step(controller.trim_setpoint + of_trim, -pushed)
         gimbals.step(controller.setpoint)
         trim_position += 0.5 * period * (trim_before + trim_rate)
         precession += 0.5 * period * (rate_before + gimbals.rate)
@@ -122,7 +123,7 @@ def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitati
             "precession": precession,
             "trim_position": trim_position,
             "trim_rate": trim_rate,
-            "trim_rate_setpoint": controller.trim_setpoint,
+            "trim_rate_setpoint": controller.trim_setpoint + of_trim,
             "setpoint_slope": (controller.setpoint - before) / period,
         }
 
@@ -132,36 +133,31 @@ def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitati
 def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation) -> Controller:
     """The vehicle's controller with the excitation in it, and the gimbals, for models whose input is their motion."""
     controller = RollController.from_design(gains, vehicle)
-    on_reference = excitation.on_reference
     period = vehicle.period
-    follows = -expm1(-period / gains.parameters.speed_loop_lag)
-    rate = precession = before = 0.0
+    lags = gains.parameters.speed_loop_lag, gains.parameters.trim_lag
+    follows, trim_follows = (-expm1(-period / lag) for lag in lags)
+    rate = precession = before = trim_rate = trim_position = 0.0
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
-        nonlocal rate, precession, before
+        nonlocal rate, precession, before, trim_rate, trim_position
         rate = seen.get("precession_rate", rate)
         precession = seen.get("precession", precession)
-        value = excitation.value(time)
-        setpoint = controller.step(
-            seen["roll"],
-            seen["roll_rate"],
-            rate,
-            precession,
-            value if on_reference else 0.0,
-            period,
-            0.0 if on_reference else value,
-        )
+        reference, output, of_trim = entering(excitation.at, excitation.value(time))
+        setpoint = controller.step(seen["roll"], seen["roll_rate"], rate, precession, reference, period, output)
         after = rate + follows * (setpoint - rate)
         precession += 0.5 * period * (rate + after)
         rate = after
+        trim_after = trim_rate + trim_follows * (of_trim - trim_rate)
+        trim_position += 0.5 * period * (trim_rate + trim_after)
+        trim_rate = trim_after
         slope, before = (setpoint - before) / period, setpoint
         return {
             "precession_rate_setpoint": setpoint,
             "precession_rate": rate,
             "precession": precession,
-            "trim_position": 0.0,
-            "trim_rate": 0.0,
-            "trim_rate_setpoint": 0.0,
+            "trim_position": trim_position,
+            "trim_rate": trim_rate,
+            "trim_rate_setpoint": of_trim,
             "setpoint_slope": slope,
         }
 

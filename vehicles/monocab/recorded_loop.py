@@ -36,12 +36,15 @@ from vehicles.monocab.control.controller import design
 from vehicles.monocab.control.full import design_full
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, REDUCED, MonocabFile
+from vehicles.monocab.file import FULL, REDUCED, ROLL_REFERENCE, TRIM_RATE, MonocabFile
 from vehicles.monocab.handling import GimbalHandling
 from vehicles.monocab.identification.own import drive_lag, trim_drive_lag
 from vehicles.phases import Phase
 from vehicles.recorded import Recorded, entered_at, recorded
 from vehicles.sections import CONTROLLER_OUTPUT
+
+POINTS = (ROLL_REFERENCE, CONTROLLER_OUTPUT)
+"""Where an excitation may enter that leaves the trim mass to the controller."""
 
 Array = NDArray[np.float64]
 
@@ -77,11 +80,13 @@ class _Drive:
 
 @dataclass(frozen=True, slots=True)
 class _Balancing:
-    """What balanced the vehicle: one of its controllers, with the excitation entering `at` an injection point."""
+    """What balanced the vehicle: one of its controllers, with the excitation entering `at` an injection point.
+    `trimming`: the trim mass moved, too."""
 
     vehicle: MonocabFile
     reduced: RollDesign
     full: CheckedDesign | None
+    trimming: bool
 
     def handling(self, at: str) -> GimbalHandling:
         """Upright, with the controllers not yet running."""
@@ -91,7 +96,7 @@ class _Balancing:
     @property
     def driven(self) -> tuple[_Axis, ...]:
         """The axes that it moves."""
-        return (GIMBALS, TRIM) if self.full else (GIMBALS,)
+        return (GIMBALS, TRIM) if self.trimming else (GIMBALS,)
 
 
 def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
@@ -107,17 +112,10 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     if not (sent <= 0.0).all():
         return "setpoint_age is unknown, or positive as if setpoints had left before they were computed"
     try:
-        balancing = _Balancing(
-            vehicle, design(vehicle), design_full(vehicle) if np.any(recording[TRIM.setpoint][held]) else None
-        )
-        at = entered_at(
-            ("roll_reference", CONTROLLER_OUTPUT),
-            lambda at: _replayed(balancing, record, at, record.last)[1],
-            record,
-            [axis.setpoint for axis in balancing.driven],
-        )
-        if at is None:
+        found = _what_balanced(vehicle, record, trimming=bool(np.any(recording[TRIM.setpoint][held])))
+        if found is None:
             return f"the controller of {vehicle.vehicle.id}'s vehicle file does not give the recorded setpoints"
+        balancing, at = found
         drives = [
             _identified(axis, recording, record, -float(np.median(sent)), axis.lag(balancing.reduced.parameters))
             for axis in balancing.driven
@@ -132,6 +130,23 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
         gives=frozenset(channel for axis in balancing.driven for channel in (axis.setpoint, axis.rate, axis.position)),
         channels=("roll", "precession", "trim_position") if balancing.full else ("roll", "precession_rate"),
     )
+
+
+def _what_balanced(vehicle: MonocabFile, record: Recorded, *, trimming: bool) -> tuple[_Balancing, str] | None:
+    """The controller that gives the recorded setpoints, and where the excitation entered; None if none of them does.
+    The full one moves the trim mass; if only the excitation does, it is the reduced one."""
+    reduced = design(vehicle)
+    candidates = [(_Balancing(vehicle, reduced, None, trimming), (TRIM_RATE,) if trimming else POINTS)]
+    if trimming:
+        candidates.append((_Balancing(vehicle, reduced, design_full(vehicle), trimming), (*POINTS, TRIM_RATE)))
+    for balancing, points in candidates:
+        replayed = partial(_replayed, balancing, record, until=record.last)
+        at = entered_at(
+            points, lambda at, replay=replayed: replay(at)[1], record, [axis.setpoint for axis in balancing.driven]
+        )
+        if at is not None:
+            return balancing, at
+    return None
 
 
 def _identified(axis: _Axis, recording: Recording, record: Recorded, sent: float, stated: float) -> _Drive:

@@ -50,6 +50,10 @@ class WheelHandling:
         self._wheels.start_here()
         return None
 
+    def move(self, dt: float, drives: WheelMeasurement, excitation: float) -> Command:
+        """A voltage at both motors."""
+        return Command(State.OPERATION_ENABLED, excitation, 0.0, excitation)
+
     @property
     def risen(self) -> bool:
         return self._rising.risen

@@ -1,0 +1,78 @@
+"""The record of a commissioning, kept by the daemon: one file in the data folder, oldest entry first.
+
+It survives a restart and a change of the client, so that a commissioning can be continued after a day and on another
+screen. Nothing is ever removed from it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from telemetry.errors import UprightError
+from vehicles.commissioning import CommissioningError, Entry, Steps, steps_of
+
+FILE = "commissioning.json"
+
+
+class RecordError(UprightError):
+    """The record of a commissioning cannot be read or written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """The `entries` of the commissionings of one vehicle, with its `steps`; None if its kind has none."""
+
+    steps: Steps | None
+    entries: tuple[Entry, ...] = ()
+
+    @classmethod
+    def read(cls, folder: Path, kind: str) -> Record:
+        """The record in `folder`, empty if there is none. Raises RecordError."""
+        try:
+            steps = steps_of(kind)
+        except CommissioningError:
+            steps = None
+        path = folder / FILE
+        if not path.exists():
+            return cls(steps)
+        try:
+            entries = tuple(Entry.model_validate(each) for each in json.loads(path.read_text("utf-8")))
+        except (OSError, ValueError, TypeError, ValidationError) as error:
+            raise RecordError(
+                f"{path} cannot be read ({error}).", remedy="Move it away: the commissioning then starts from nothing."
+            ) from error
+        return cls(steps, entries)
+
+    def with_next(self, entry: Entry) -> Record:
+        """With `entry` added, dated now. Raises CommissioningError if there is no such step."""
+        if self.steps is not None and entry.step:
+            self.steps.find(entry.step)
+        dated = entry.model_copy(update={"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")})
+        return Record(self.steps, (*self.entries, dated))
+
+    def write(self, folder: Path) -> None:
+        """Replace the file in `folder` at once. Raises RecordError if it cannot be written."""
+        path = folder / FILE
+        beside = path.with_suffix(".part")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            beside.write_text(
+                json.dumps([each.model_dump(mode="json") for each in self.entries], indent=1) + "\n", "utf-8"
+            )
+            os.replace(beside, path)
+        except OSError as error:
+            raise RecordError(
+                f"{path} cannot be written ({error.strerror}): the step is not in the record.",
+                remedy="Make room there, or give a writable folder with --data.",
+            ) from error
+
+    def to_json(self) -> dict[str, Any] | None:
+        """The topic `commissioning`; None for a kind of vehicle without steps."""
+        return self.steps.to_json(self.entries) if self.steps is not None else None
