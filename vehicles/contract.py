@@ -13,7 +13,7 @@ the same code for every vehicle, and uses
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from models.model import Model
     from simulation.config import Truth
     from telemetry.recording import Recording
+    from vehicles.commissioning import Number
+
+    Measure = Callable[[Any, Sequence[Recording]], Mapping[str, Number]]
+    """An evaluation of a step of a commissioning: a vehicle file and recordings give numbers by name."""
 
 
 class Measurement(Protocol):
@@ -208,7 +212,8 @@ class VehicleKind:
     known, in words; `designs`: its controllers by name, designed for the parameters of its file and checked wherever
     these may be, none if their gains are in the file; `prediction`: how that loop is predicted; `twin`: its virtual
     vehicle; `shaken`: range of the RMS of its random disturbance in benchmarks, in the unit of the force it falls by.
-    The functions import what they need when they are called.
+    `evaluations`: those that only steps of this kind
+    need. The functions import what they need when they are called.
     """
 
     file: type[VehicleFile]
@@ -222,3 +227,4 @@ class VehicleKind:
     prediction: Callable[[], Prediction]
     twin: Callable[[], Twin]
     shaken: tuple[float, float]
+    evaluations: Callable[[], Mapping[str, Measure]] = dict

@@ -35,12 +35,14 @@ class Figures:
     missing: str = ""
 
 
-def render(template: str, models: Sequence[str], provenance: Provenance | None, **values: Any) -> str:
-    """The page as text. `models` names what it is about."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def render(
+    template: str, models: Sequence[str], provenance: Provenance | None, *, package: str = __package__, **values: Any
+) -> str:
+    """The page as text. `models` names what it is about. The `package` of the template may have more of its own."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("diagnosis.report"),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader(__package__)]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, benchmark, dashboard, design, live, multisine, talk, vehicle
+from service.cli import batch, benchmark, commission, dashboard, design, live, multisine, talk, vehicle
 from service.cli.models import shown as model
 from telemetry.errors import UprightError
 
@@ -29,6 +29,7 @@ app = typer.Typer(
 )
 live.register(app)
 talk.register(app)
+commission.register(app)
 batch.register(app)
 design.register(app)
 multisine.register(app)

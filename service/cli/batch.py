@@ -59,6 +59,9 @@ def identify(
             "--truth", help="NAME=VALUE that is known to be true, as for a virtual vehicle.", show_default=False
         ),
     ] = None,
+    begin: Annotated[
+        float, typer.Option("--from", help="Use the recordings from this second on.", show_default="the beginning")
+    ] = 0.0,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     report: Annotated[
         Path | None,
@@ -70,7 +73,7 @@ def identify(
 
     Ctrl-C ends the estimation and shows the results up to then.
     """
-    from math import tau
+    from math import inf, tau
 
     from estimators.identify.run import identify as run
     from estimators.identify.subject import NOTHING_OWN
@@ -93,7 +96,7 @@ def identify(
 
         check_suffix(picture)
     check_folder(report)
-    loaded = [load_recording(path, vehicle) for path in recordings]
+    loaded = [load_recording(path, vehicle).between(begin, inf) for path in recordings]
     refuse_loads(loaded)
     with fitting() as progress:
         document = run(

@@ -26,8 +26,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from service.control.adopted import VEHICLE_FILE, Adopted, History
-from service.control.commissioned import Record
 from service.control.api import GONE, ExitCode, Message, result
+from service.control.commissioned import Record
 from service.control.lease import LOOK, Lease
 from service.control.loop import ControlLoop, Mode
 from service.control.sequence import ExperimentRun
@@ -163,7 +163,8 @@ class Commands:
             following.write(self._data)
             self.record = following
             self._publish_record()
-        return result(ExitCode.DONE, commissioning=self.record.to_json())
+        entries = [each.model_dump(mode="json") for each in self.record.entries]
+        return result(ExitCode.DONE, commissioning=self.record.to_json(), entries=entries)
 
     def _publish_record(self) -> None:
         document = self.record.to_json()

@@ -107,7 +107,8 @@ class ExperimentRun:
     @property
     def leaves_drives_alone(self) -> bool:
         """Whether the drives may be in any state: they have been without setpoints, or may have been."""
-        return self.phase is Phase.MOVE and self._plan.silence > 0.0 and self._phase_time >= SILENCE_AFTER
+        late = self.phase is Phase.MOVE and self._phase_time >= SILENCE_AFTER
+        return self._plan.silence > 0.0 and (late or self.phase is Phase.DISABLE)
 
     @property
     def _course(self) -> tuple[Phase, ...]:
@@ -162,7 +163,7 @@ class ExperimentRun:
             case Phase.CENTRE:
                 return self._centre(drives, then=Phase.RISE if self._plan.gets_up else Phase.MOVE)
             case Phase.MOVE:
-                return self._move(dt, drives, state)
+                return self._move(dt, drives)
             case Phase.RISE:
                 return self._get_up(dt, lean, drives)
             case Phase.SETTLE | Phase.EXCITE | Phase.FADE:
@@ -172,7 +173,8 @@ class ExperimentRun:
             case Phase.CENTRE_BACK:
                 return self._centre(drives, then=Phase.DISABLE)
             case _:
-                if state is not State.OPERATION_ENABLED:
+                # A drive that has lost its master may not report its state any more; it is set up again afterwards.
+                if state is not State.OPERATION_ENABLED or self._plan.silence:
                     self.done = True
                 return IDLE
 
@@ -216,12 +218,11 @@ class ExperimentRun:
         if asks is not None and time >= asks.after:
             self.asked = asks
 
-    def _move(self, dt: float, drives: Any, state: State | None) -> Command:
+    def _move(self, dt: float, drives: Any) -> Command:
         """On the support: follow the excitation, or hold still and be silent."""
         command = self._handling.move(dt, drives, self._plan.excitation.value(self._phase_time))
         if self._phase_time >= self._plan.excitation.duration:
-            # After a silence the drives have stopped by themselves: they are set up again before they move.
-            self._enter(Phase.CENTRE_BACK if state is State.OPERATION_ENABLED else Phase.DISABLE)
+            self._enter(Phase.DISABLE if self._plan.silence else Phase.CENTRE_BACK)
         return IDLE if self.leaves_drives_alone else command
 
     def _centre(self, drives: Any, then: Phase) -> Command:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from estimators.identify.subject import OwnMethods
     from models.control_robustness import CheckedDesign, Known
     from telemetry.recording import Recording
+    from vehicles.contract import Measure
 
 
 def _models() -> Models:
@@ -57,6 +58,12 @@ def _twin() -> Twin:
     return Twin(PlantTruth(), "upright_servo.eds")
 
 
+def _evaluations() -> dict[str, Measure]:
+    from vehicles.monocab.identification.trim_effect import trim_effect
+
+    return {"trim_effect": trim_effect}
+
+
 KIND = VehicleKind(
     file=MonocabFile,
     channels=CHANNELS,
@@ -69,4 +76,5 @@ KIND = VehicleKind(
     prediction=_prediction,
     twin=_twin,
     shaken=(2.0, 20.0),
+    evaluations=_evaluations,
 )

@@ -1,0 +1,1 @@
+"""The evaluations that a step may name: table lists them."""

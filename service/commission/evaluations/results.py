@@ -1,0 +1,153 @@
+"""What the command line makes of recordings: identification, design, comparison, diagnosis, effects.
+
+Each runs the same command that a person would, and keeps the document and the page that it writes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from math import degrees, isfinite, log10, sqrt
+from pathlib import Path
+from typing import Any
+
+from service.commission.evidence import Evidence, Found
+from vehicles.commissioning import Number
+
+
+def identified(evidence: Evidence) -> Found:
+    """Every method side by side on the recordings; the numbers are those of the recommended one, each parameter with
+    its deviation from the vehicle file in standard deviations of the difference (`NAME_off`)."""
+    page, picture = evidence.at(f"{evidence.step.id}.html"), evidence.at(f"{evidence.step.id}.png")
+    document = evidence.upright(
+        [
+            "identify",
+            *_recordings(evidence),
+            *_begin(evidence),
+            *_model(evidence),
+            "--report",
+            str(page),
+            "--picture",
+            str(picture),
+        ]
+    )
+    result = _kept(evidence, document)
+    best = document["best"]
+    if not best:
+        return Found(text=[document["best_reason"]], files=[result, page, picture], result=result)
+    parameters = evidence.vehicle.parameters
+    numbers: dict[str, Number] = {}
+    for name, each in document["methods"][best]["parameters"].items():
+        numbers[name] = Number(value=each["value"], std=each["std"], unit=each["unit"])
+        if name in parameters.values and None not in (each["value"], each["std"]):
+            spread = sqrt(each["std"] ** 2 + parameters.deviations[name] ** 2)
+            off = (each["value"] - parameters.values[name]) / spread if spread else None
+            numbers[f"{name}_off"] = Number(value=off)
+    return Found(numbers, [f"{best}: {document['best_reason']}"], [result, page, picture], result)
+
+
+def designed(evidence: Evidence) -> Found:
+    """The controllers for the newest result, which act from the next experiment on."""
+    document = evidence.upright(["design", str(evidence.result), *_model(evidence), "--use"])
+    result = _kept(evidence, document)
+    numbers: dict[str, Number] = {}
+    for name, each in document["controllers"].items():
+        down, up = each["gain_margin"]
+        numbers |= {
+            f"{name}_gain_margin": Number(value=20.0 * log10(up), unit="dB"),
+            f"{name}_gain_reduction_margin": Number(value=-20.0 * log10(down) if down > 0.0 else None, unit="dB"),
+            f"{name}_phase_margin": Number(value=degrees(each["phase_margin"]), unit="deg"),
+            f"{name}_delay_margin": Number(value=1e3 * each["delay_margin"], unit="ms"),
+        }
+    close = [f"{each['name']}: {each['broken']}" for each in document["expected"] if each["broken"] and each["largest"]]
+    numbers["too_close"] = Number(value=float(len(close)))
+    return Found(numbers, [document["how"], *close], [result], result)
+
+
+def compared(evidence: Evidence) -> Found:
+    """The model against its recordings: the error over that of the noise, one step ahead (`innovation_ratio`) and in
+    the closed loop with its controller (`loop_error`, that of the channel that is predicted worst)."""
+    page = evidence.at(f"{evidence.step.id}.html")
+    model = _model(evidence) or (["--model", str(evidence.result)] if evidence.results else [])
+    document = evidence.upright(["compare", *_recordings(evidence), *model, "--report", str(page)])
+    result = _kept(evidence, document)
+    best = _best(evidence)
+    subjects = [each for each in document["models"] if best is None or each["name"] == best] or document["models"]
+    loops = [each["closed_loop"] for each in subjects if each.get("closed_loop", {}).get("available")]
+    errors = [float(value) for each in loops for value in each["over_floor"].values()]
+    ratios = [float(each["innovation_ratio"]) for each in subjects if each.get("innovation_ratio") is not None]
+    numbers = {
+        "innovation_ratio": Number(value=max(ratios, default=None)),
+        "loop_error": Number(value=max((each for each in errors if isfinite(each)), default=None)),
+        "not_adequate": Number(value=float(sum(not each["adequate"] for each in subjects))),
+    }
+    text = [line for each in subjects for line in each["summary"]]
+    text += [each["closed_loop"]["reason"] for each in subjects if each.get("closed_loop", {}).get("reason")]
+    return Found(numbers, text, [result, page], result)
+
+
+def diagnosed(evidence: Evidence) -> Found:
+    """Which physical effects the model lacks; nothing is added."""
+    page = evidence.at(f"{evidence.step.id}.html")
+    document = evidence.upright(
+        ["diagnose", *_recordings(evidence), *_begin(evidence), *_model(evidence), "--report", str(page)]
+    )
+    return _diagnosis(evidence, document, [page])
+
+
+def effects(evidence: Evidence) -> Found:
+    """Adds the effects that the recordings show, one after the other, to the model of this commissioning."""
+    page, model = evidence.at(f"{evidence.step.id}.html"), evidence.at("revised.toml")
+    document = evidence.upright(
+        ["diagnose", *_recordings(evidence), *_begin(evidence), "--auto", str(model), "--report", str(page)]
+    )
+    written = [page]
+    if model.is_file():
+        model.replace(evidence.model)
+        written.append(evidence.model)
+    return _diagnosis(evidence, document, written)
+
+
+def _diagnosis(evidence: Evidence, document: Mapping[str, Any], written: list[Path]) -> Found:
+    result = _kept(evidence, document)
+    names = [str(each["effect"]) for each in document["findings"]]
+    numbers = {
+        "effects_found": Number(value=float(len(names))),
+        "innovation_ratio": Number(
+            value=document.get("innovation_ratio_after") or document.get("innovation_ratio_before")
+        ),
+        "unexplained": Number(value=float(document["verdict"] in ("unknown", "insufficient_data"))),
+    }
+    text = [str(each["explanation"]) for each in document["findings"]]
+    return Found(
+        numbers, text or [document["reason"] or document["verdict"].replace("_", " ")], [result, *written], result
+    )
+
+
+def _recordings(evidence: Evidence) -> list[str]:
+    return [str(evidence.recording), *(str(each) for each in evidence.recordings[1:])]
+
+
+def _model(evidence: Evidence) -> list[str]:
+    return ["--model", str(evidence.model)] if evidence.model.is_file() else []
+
+
+def _begin(evidence: Evidence) -> list[str]:
+    from vehicles import registry
+
+    begin = registry.of(evidence.vehicle.vehicle.kind).views.story.begin
+    return ["--from", f"{begin:g}"] if begin else []
+
+
+def _best(evidence: Evidence) -> str | None:
+    """The recommended method of the newest result; None if a model file is compared."""
+    if _model(evidence) or not evidence.results:
+        return None
+    best: str | None = json.loads(evidence.result.read_text("utf-8")).get("best")
+    return best
+
+
+def _kept(evidence: Evidence, document: Mapping[str, Any]) -> Path:
+    path = evidence.at(f"{evidence.step.id}.json")
+    path.write_text(json.dumps(document, indent=1), "utf-8")
+    return path

@@ -1,0 +1,85 @@
+"""A daemon with a virtual vehicle in this process, beside the caller's own work, for as long as a block lasts."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from service.control.daemon import Daemon, Places
+from service.control.loop import Mode
+from service.virtual.passenger import carried
+from service.virtual.serving import virtual_vehicle_beside
+from simulation.disturbance import Disturbance
+from vehicles.sections import VehicleFile
+
+READY_TIMEOUT = 30.0
+"""s for the drives to be set up and the roll filter to settle. What is not ready then, an interlock names."""
+
+
+@contextmanager
+def daemon_beside(
+    vehicle: VehicleFile,
+    places: Places,
+    hide: Sequence[str],
+    seed: int,
+    *,
+    disturbance: Disturbance | None = None,
+    truth: VehicleFile | None = None,
+) -> Iterator[Daemon]:
+    """The daemon of `vehicle` in a thread of its own, with a virtual vehicle that is as fast as the machine allows.
+
+    The virtual vehicle is built as in the file `truth`, by default as in the daemon's own.
+    Raises what the daemon raises when it starts, and UnknownEffectError if `hide` names an unknown effect.
+    """
+    started: list[asyncio.AbstractEventLoop] = []
+    failed: list[BaseException] = []
+    made: list[Daemon] = []
+    there = threading.Event()
+
+    async def serve() -> None:
+        made.append(Daemon(vehicle, places, lock_step=True))
+        started.append(asyncio.get_running_loop())
+        there.set()
+        await made[0].run()
+
+    def run() -> None:
+        try:
+            asyncio.run(serve())
+        except BaseException as error:  # it is raised again in the caller's thread
+            failed.append(error)
+        finally:
+            there.set()
+
+    thread = threading.Thread(target=run, name="daemon", daemon=True)
+    thread.start()
+    there.wait()
+    if failed:
+        raise failed[0]
+    daemon = made[0]
+    with virtual_vehicle_beside(
+        truth or vehicle,
+        list(hide),
+        seed,
+        places.drives_bus,
+        punctual=False,
+        disturbance=disturbance,
+        load=lambda: carried(daemon.loop.asked),
+    ):
+        try:
+            _wait(lambda: bool(failed) or (daemon.loop.mode is Mode.DISARMED and not daemon.loop.interlocks()))
+            if failed:
+                raise failed[0]
+            yield daemon
+        finally:
+            started[0].call_soon_threadsafe(daemon.stop)
+            thread.join()
+
+
+def _wait(ready: object) -> None:
+    assert callable(ready)
+    limit = time.monotonic() + READY_TIMEOUT
+    while not ready() and time.monotonic() < limit:
+        time.sleep(0.05)
