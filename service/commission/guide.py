@@ -188,7 +188,7 @@ class Guide:
             numbers=dict(found.numbers),
             text=list(found.text),
             recording=str(ran or ""),
-            files={str(path): sha256(path.read_bytes()).hexdigest() for path in found.files},
+            files=_hashes([*found.files, *([ran, ran.with_suffix(".log")] if ran is not None else [])]),
         )
 
     def _keep(self, entry: Entry) -> Entry:
@@ -201,3 +201,8 @@ class Guide:
         self.ask({"verb": "commissioning", "entry": whole.model_dump(mode="json")})
         self.save_report()
         return whole
+
+
+def _hashes(paths: Sequence[Path]) -> dict[str, str]:
+    """SHA-256 by path, of those that exist."""
+    return {str(path): sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()}

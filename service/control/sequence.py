@@ -4,9 +4,10 @@
     rest -> enable -> centre -> move -> centre back -> disable        if it stays on its support
     rest -> disable                                                   if its drives stay off
 
-Each experiment has one verb, one recording, and ends in a state in which the vehicle may be touched. `ExperimentRun.step` is called once per control cycle and returns the command for the drives. It is
-independent of bus and clock and only uses the time of the samples. The phases are the same for every vehicle; rising,
-balancing and lowering depend on the kind of vehicle (`vehicles.contract.Handling`).
+Each experiment has one verb, one recording, and ends in a state in which the vehicle may be touched.
+`ExperimentRun.step` is called once per control cycle and returns the command for the drives. It is independent of bus
+and clock and only uses the time of the samples. The phases are the same for every vehicle; rising, balancing and
+lowering depend on the kind of vehicle (`vehicles.contract.Handling`).
 """
 
 from __future__ import annotations

@@ -5,14 +5,18 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
 from service.virtual.passenger import carried
 from service.virtual.serving import virtual_vehicle_beside
+from simulation.config import SimulationConfig
 from simulation.disturbance import Disturbance
+from simulation.faults import Fault
+from simulation.load import Load, Tilt
+from simulation.vehicle import VirtualVehicle
 from vehicles.sections import VehicleFile
 
 READY_TIMEOUT = 30.0
@@ -28,10 +32,14 @@ def daemon_beside(
     *,
     disturbance: Disturbance | None = None,
     truth: VehicleFile | None = None,
+    configure: Callable[[SimulationConfig], SimulationConfig] = lambda configuration: configuration,
+    faults: Sequence[Fault] = (),
+    watch: Callable[[VirtualVehicle], None] = lambda virtual: None,
 ) -> Iterator[Daemon]:
-    """The daemon of `vehicle` in a thread of its own, with a virtual vehicle that is as fast as the machine allows.
+    """The daemon of `vehicle` in a thread of its own, with a virtual vehicle, as fast as the machine allows.
 
-    The virtual vehicle is built as in the file `truth`, by default as in the daemon's own.
+    The virtual vehicle is built as in the file `truth`, by default as in the daemon's own, and then `configure`d. It
+    has the `faults`. `watch` is called with it every cycle, in its thread.
     Raises what the daemon raises when it starts, and UnknownEffectError if `hide` names an unknown effect.
     """
     started: list[asyncio.AbstractEventLoop] = []
@@ -59,6 +67,13 @@ def daemon_beside(
     if failed:
         raise failed[0]
     daemon = made[0]
+    watched: list[VirtualVehicle] = []
+
+    def undergoes() -> Load | Tilt | None:
+        for each in watched:
+            watch(each)
+        return carried(daemon.loop.asked)
+
     with virtual_vehicle_beside(
         truth or vehicle,
         list(hide),
@@ -66,8 +81,11 @@ def daemon_beside(
         places.drives_bus,
         punctual=False,
         disturbance=disturbance,
-        load=lambda: carried(daemon.loop.asked),
-    ):
+        load=undergoes,
+        configure=configure,
+        faults=faults,
+    ) as virtual:
+        watched.append(virtual)
         try:
             _wait(lambda: bool(failed) or (daemon.loop.mode is Mode.DISARMED and not daemon.loop.interlocks()))
             if failed:
@@ -78,8 +96,7 @@ def daemon_beside(
             thread.join()
 
 
-def _wait(ready: object) -> None:
-    assert callable(ready)
+def _wait(ready: Callable[[], bool]) -> None:
     limit = time.monotonic() + READY_TIMEOUT
     while not ready() and time.monotonic() < limit:
         time.sleep(0.05)

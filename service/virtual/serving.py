@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -18,8 +18,11 @@ import can
 from drivers.bus_address import connect
 from service.virtual import vehicle as virtual_vehicle
 from simulation import runner
+from simulation.config import SimulationConfig
 from simulation.disturbance import Disturbance
+from simulation.faults import Fault
 from simulation.load import Load, Tilt
+from simulation.vehicle import VirtualVehicle
 from vehicles.sections import VehicleFile
 
 BUS = "virtual:upright-virtual"
@@ -58,25 +61,25 @@ def virtual_vehicle_beside(
     punctual: bool = True,
     disturbance: Disturbance | None = None,
     load: Callable[[], Load | Tilt | None] = runner.nothing,
-) -> Iterator[None]:
+    configure: Callable[[SimulationConfig], SimulationConfig] = lambda configuration: configuration,
+    faults: Sequence[Fault] = (),
+) -> Iterator[VirtualVehicle]:
     """The virtual vehicle on the in-process `bus`, until the end of the block.
 
     It runs in real time, or, if not `punctual`, as fast as the daemon answers. It has the random `disturbance` unless
-    `hide` defines one. `load()` is asked every cycle what is on it.
+    `hide` defines one. `load()` is asked every cycle what is on it. `configure` may change its physics, and it has the
+    `faults`.
     Raises UnknownEffectError if `hide` names an unknown effect.
     """
-    configuration = virtual_vehicle.configuration(vehicle, hide, seed, disturbance=disturbance)
+    configuration = configure(virtual_vehicle.configuration(vehicle, hide, seed, disturbance=disturbance))
     stop = threading.Event()
-
-    def simulate() -> None:
-        with connect(bus, None, None) as own:
-            paced: Any = PunctualBus(own) if punctual else own
-            runner.run(configuration, paced, lock_step=True, stop=stop, load=load)
-
-    thread = threading.Thread(target=simulate, name="virtual vehicle", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
+    with connect(bus, None, None) as own:
+        paced: Any = PunctualBus(own) if punctual else own
+        running = runner.Runner(configuration, paced, lock_step=True, stop=stop, faults=faults, load=load)
+        thread = threading.Thread(target=running.run, name="virtual vehicle", daemon=True)
+        thread.start()
+        try:
+            yield running.vehicle
+        finally:
+            stop.set()
+            thread.join()

@@ -100,7 +100,7 @@ def test_experiment_that_is_too_strong_is_refused_with_its_limit() -> None:
 
 def test_experiments_that_start_at_rest_or_lack_an_excitation_are_left_out() -> None:
     found, left_out = experiments_of(VEHICLE)
-    assert set(left_out) == {"hold", "side_load", "step"}
+    assert set(left_out) == {"hold", "side_load", "step", "rest", "tilt", "drives", "silence"}
     assert {each.name for each in found} | set(left_out) == set(VEHICLE.experiments)
 
 

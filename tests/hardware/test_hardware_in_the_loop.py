@@ -29,7 +29,18 @@ from vehicles.phases import Phase
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 
 VEHICLE = load("monocab")
-DURATIONS = {"hold": 8.0, "sweep": 30.0, "output_sweep": 20.0, "square": 10.0, "sine_stream": 20.0, "side_load": 22.0}
+DURATIONS = {
+    "hold": 8.0,
+    "sweep": 30.0,
+    "output_sweep": 20.0,
+    "square": 10.0,
+    "sine_stream": 20.0,
+    "side_load": 22.0,
+    "rest": 4.0,
+    "tilt": 9.0,
+    "drives": 6.0,
+    "trim": 15.0,
+}
 """s, shorter durations for the experiments that are longer than is needed to show that they run in real time."""
 
 

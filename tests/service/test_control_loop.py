@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 from closed_loop import ClosedLoop
@@ -35,7 +36,8 @@ def assert_rests_disarmed(closed: ClosedLoop) -> None:
     assert abs(closed.loop.lean.rate) < 0.005
 
 
-EXPERIMENTS = list(load("monocab").experiments)
+EXPERIMENTS = [name for name, each in load("monocab").experiments.items() if each.gets_up]
+ON_SUPPORT = ("rest", "tilt", "drives", "silence")
 LONG = ("sweep", "output_sweep")
 """A minute each. The tests on a bus run them, too, for 20 and 30 s."""
 
@@ -48,12 +50,75 @@ def test_every_experiment_goes_from_rest_to_rest(name: str) -> None:
     assert closed.loop.reason == ""
     assert_rests_disarmed(closed)
     phases = {Phase(int(frame.values[PHASE])) for frame in closed.witness.frames}
-    assert phases >= set(Phase) - {Phase.CENTRE}
+    assert phases >= set(Phase) - {Phase.CENTRE, Phase.MOVE}
     upright = [frame.values for frame in closed.witness.frames if frame.values[PHASE] == Phase.EXCITE]
     assert max(abs(values[ROLL]) for values in upright) < math.radians(3.0)
     assert max(abs(values[PRECESSION]) for values in upright) < math.radians(
         closed.vehicle.limits.precession_budget_deg
     )
+
+
+def course_of(closed: ClosedLoop) -> list[Phase]:
+    """The phases of the last recording, in order."""
+    phases = [Phase(int(frame.values[PHASE])) for frame in closed.witness.frames]
+    return [phase for phase, before in zip(phases, [Phase.NONE, *phases], strict=False) if phase is not before]
+
+
+class TestOnTheSupport:
+    """Experiments in which the vehicle does not get up."""
+
+    def test_they_are_all_that_do_not_get_up(self) -> None:
+        assert set(ON_SUPPORT) == set(load("monocab").experiments) - set(EXPERIMENTS)
+
+    def test_a_recording_at_rest_needs_no_drive(self) -> None:
+        closed = ClosedLoop()
+        closed.run("rest")
+        assert closed.loop.reason == ""
+        assert [each for each in course_of(closed) if each] == [Phase.REST, Phase.DISABLE]
+        commands = {frame.data[:2] for frame in closed.raw if frame.can_id == 0x201}
+        assert all(data[0] & 0x0F != 0x0F for data in commands), "a drive was enabled"
+
+    @pytest.mark.parametrize("seed", [1, 2])
+    def test_a_tilt_by_hand_ends_on_the_other_support(self, seed: int) -> None:
+        closed = ClosedLoop(seed=seed)
+        before = closed.loop.lean
+        assert before is not None
+        closed.run("tilt")
+        assert closed.loop.reason == ""
+        after = closed.loop.lean
+        assert after is not None
+        assert after.angle == pytest.approx(-before.angle, abs=math.radians(0.2))
+        assert ("info", "tilt", closed.vehicle.experiments["tilt"].asks.announcement) in closed.witness.events
+        assert closed.loop.state()["tilt"] is None
+
+    def test_the_drives_move_and_the_vehicle_does_not(self) -> None:
+        closed = ClosedLoop()
+        closed.run("drives")
+        assert closed.loop.reason == ""
+        moving = [frame.values for frame in closed.witness.frames if frame.values[PHASE] == Phase.MOVE]
+        assert max(abs(values[PRECESSION]) for values in moving) > math.radians(1.0)
+        assert max(values[ROLL] for values in moving) - min(values[ROLL] for values in moving) < math.radians(0.2)
+        assert_rests_disarmed(closed)
+
+    def test_in_a_silence_neither_setpoints_nor_heartbeat_leave(self) -> None:
+        closed = ClosedLoop()
+        closed.run("silence")
+        assert closed.loop.mode is Mode.DISARMED
+        assert closed.loop.reason == ""
+        for can_id in (0x201, 0x77F):
+            sent = [frame.timestamp_ns for frame in closed.raw if frame.can_id == can_id]
+            gaps = [(later - one) * 1e-9 for one, later in pairwise(sent)]
+            assert max(gaps) == pytest.approx(0.5, abs=0.05)
+
+    @pytest.mark.parametrize("name", ON_SUPPORT)
+    @pytest.mark.parametrize("after", [1.0, 4.5, 6.5])
+    def test_an_operator_ends_them_in_order(self, name: str, after: float) -> None:
+        closed = ClosedLoop()
+        closed.loop.start_experiment(name)
+        closed.advance(after)
+        closed.loop.end_experiment("changed my mind")
+        closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+        assert closed.loop.mode is Mode.DISARMED
 
 
 @pytest.mark.parametrize("rate", [100, 500])

@@ -116,7 +116,7 @@ class TestDesign:
     def test_experiments_are_predicted_with_it(self, found: Designed) -> None:
         expected = {each.name: each for each in found.expected}
         assert expected.keys() == VEHICLE.experiments.keys()
-        assert "starts at rest" in expected["step"].broken
+        assert "on its support" in expected["step"].broken
         load = {channel: value for channel, value, _, _ in expected["side_load"].largest}
         assert load["roll"] == pytest.approx(0.048, abs=0.005)
         assert load["precession"] == pytest.approx(11.8, abs=0.5)

@@ -1,16 +1,20 @@
-"""What a vehicle at rest tells of its IMU: noise, bias, axes, and, tilted by hand, sign and scale of the gyro."""
+"""What a vehicle at rest tells of its IMU: noise, bias, axes, and, tilted by hand, sign and scale of the gyro.
+
+All of it comes from the raw frames: the roll filter would mix what gravity and the gyro say.
+"""
 
 from __future__ import annotations
 
-from math import atan2, degrees, sqrt
+from dataclasses import dataclass
+from math import atan2, degrees, hypot, sqrt
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.roll_filter import RollState
 from service.commission.evidence import Evidence, Found
 from service.control import assembly
-from service.offline.replay import load
 from telemetry.candump import CandumpReader
 from vehicles import registry
 from vehicles.commissioning import CommissioningError, Number
@@ -18,57 +22,98 @@ from vehicles.sections import VehicleFile
 
 Array = NDArray[np.float64]
 ENDS = 1.0
-"""s at each end of a recording over which an angle at rest is averaged."""
+"""s at each end of a recording during which the vehicle is at rest."""
 LEAST_TILT = 0.0175
 """rad (1 deg): a smaller change of the angle says nothing of the gyro."""
 
 
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Of the IMU, in vehicle axes: `time` (n,) s, `force` (n, 3) m/s^2 and `rate` (n, 3) rad/s."""
+
+    time: Array
+    force: Array
+    rate: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Falling:
+    """The angle by which a vehicle falls. `sideways`: about x, and not about y."""
+
+    vehicle: VehicleFile
+
+    @property
+    def sideways(self) -> bool:
+        return self._of(1.0, 0.0) != 0.0
+
+    @property
+    def sides(self) -> tuple[str, str]:
+        """The supports at a positive and at a negative angle."""
+        return ("right", "left") if self.sideways else ("front", "rear")
+
+    def by_gravity(self, force: Array) -> tuple[float, float]:
+        """That angle, and the one across it, rad, of a vehicle at rest that feels `force` (3,) m/s^2."""
+        x, y, z = map(float, force)
+        roll, pitch = atan2(y, z), atan2(-x, hypot(y, z))
+        return self._of(roll, pitch), pitch if self.sideways else roll
+
+    def by_turns(self, turns: Array) -> float:
+        """The change of that angle, rad, after `turns` (3,) rad about the axes of the vehicle."""
+        return self._of(float(turns[0]), float(turns[1]))
+
+    def _of(self, roll: float, pitch: float) -> float:
+        kind = registry.kind_of(self.vehicle, assembly.vehicle_io(self.vehicle))
+        return kind.lean(RollState(0, roll, pitch, 0.0, 0.0, (0.0, 0.0, 0.0))).angle
+
+
 def imu_at_rest(evidence: Evidence) -> Found:
-    """Noise, bias and axes from the raw frames of a recording at rest, in vehicle axes.
+    """Noise, bias and axes of a vehicle at rest.
 
     White noise is taken from the differences of consecutive samples, so that a slow drift or a bias is none.
     """
-    acceleration, rate = _imu_samples(evidence.recording.with_suffix(".log"), evidence.vehicle)
-    section = evidence.vehicle.imu
-    force, turning = np.mean(acceleration, axis=0), np.mean(rate, axis=0)
-    density = _white(rate) / sqrt(0.5 * evidence.vehicle.control.rate)
-    lean, off = _lean(evidence)
-    side = {"roll": ("right", "left")}.get(lean, ("front", "rear"))[0 if off >= 0.0 else 1]
+    vehicle, section, falling = evidence.vehicle, evidence.vehicle.imu, Falling(evidence.vehicle)
+    samples = read_samples(evidence.recording.with_suffix(".log"), vehicle)
+    force = np.mean(samples.force, axis=0)
+    angle, across = falling.by_gravity(force)
+    density = _white(samples.rate) / sqrt(0.5 * vehicle.control.rate)
+    noise = _white(samples.force)
     numbers = {
         "gyro_noise_percent": Number(value=100.0 * density / section.filter.angular_rate_density, unit="%"),
-        "acceleration_noise_percent": Number(
-            value=100.0 * _white(acceleration) / section.filter.acceleration_std, unit="%"
-        ),
-        "gyro_bias": Number(value=degrees(float(np.max(np.abs(turning)))), unit="deg/s"),
+        "acceleration_noise_percent": Number(value=100.0 * noise / section.filter.acceleration_std, unit="%"),
+        "gyro_bias": Number(value=degrees(float(np.max(np.abs(np.mean(samples.rate, axis=0))))), unit="deg/s"),
         "gravity": Number(value=float(np.linalg.norm(force)), unit="m/s^2"),
         "up": Number(value=float(force[2]), unit="m/s^2"),
-        "off_support": Number(value=degrees(abs(abs(off) - evidence.vehicle.support)), unit="deg"),
-        "off_level": Number(value=degrees(_across(lean, force)), unit="deg"),
+        "off_support": Number(value=degrees(abs(abs(angle) - vehicle.support)), unit="deg"),
+        "off_level": Number(value=degrees(abs(across)), unit="deg"),
     }
-    return Found(numbers, [f"The IMU says that the vehicle lies on its {side} support, {lean} {degrees(off):.2f} deg."])
+    side = falling.sides[0 if angle >= 0.0 else 1]
+    return Found(numbers, [f"By the IMU, the vehicle lies on its {side} support, at {degrees(angle):.2f} deg."])
 
 
 def tilt(evidence: Evidence) -> Found:
     """The change of the angle while the vehicle was tilted over: by gravity, before and after, and by the gyro."""
-    joint = registry.nominal_model(evidence.vehicle.vehicle.kind).joints[0]
-    recording = load(evidence.recording, evidence.vehicle)
-    time, angle, rate = recording.time, recording[joint.coordinate], recording[joint.rate]
-    before, after = (float(np.mean(angle[each])) for each in (time < ENDS, time > time[-1] - ENDS))
-    turned = float(np.trapezoid(rate, time))
+    falling = Falling(evidence.vehicle)
+    samples = read_samples(evidence.recording.with_suffix(".log"), evidence.vehicle)
+    early, late = samples.time < ENDS, samples.time > samples.time[-1] - ENDS
+    before, after = (falling.by_gravity(np.mean(samples.force[rows], axis=0))[0] for rows in (early, late))
+    bias = np.mean(samples.rate[early], axis=0)
+    turned = falling.by_turns(np.trapezoid(samples.rate - bias, samples.time, axis=0))
     tilted = after - before
-    scale = turned / tilted if abs(tilted) > LEAST_TILT else None
     words = [
-        f"{joint.coordinate} went from {degrees(before):.2f} to {degrees(after):.2f} deg; the gyro says {degrees(turned):.2f} deg."
+        f"By gravity the angle went from {degrees(before):.2f} to {degrees(after):.2f} deg, by the gyro it changed by"
+        f" {degrees(turned):.2f} deg."
     ]
-    if scale is None:
-        words.append("It was not tilted: nothing is known of the gyro.")
-    return Found(
-        {"gyro_scale": Number(value=scale), "other_side": Number(value=-after / before if before else None)}, words
-    )
+    if abs(tilted) < LEAST_TILT:
+        words.append("The vehicle was not tilted: nothing is known of the gyro.")
+    numbers = {
+        "gyro_scale": Number(value=turned / tilted if abs(tilted) >= LEAST_TILT else None),
+        "other_side": Number(value=-after / before if before else None),
+    }
+    return Found(numbers, words)
 
 
-def _imu_samples(log: Path, vehicle: VehicleFile) -> tuple[Array, Array]:
-    """Accelerations (m/s^2) and angular rates (rad/s) of a raw log, (n, 3) each. Raises CommissioningError."""
+def read_samples(log: Path, vehicle: VehicleFile) -> Samples:
+    """The IMU's samples in a raw log. Raises CommissioningError if there is less than a second of them."""
     io = assembly.vehicle_io(vehicle)
     samples = [sample for frame in CandumpReader(log) if (sample := io.handle(frame)) is not None]
     if len(samples) < vehicle.control.rate:
@@ -76,21 +121,13 @@ def _imu_samples(log: Path, vehicle: VehicleFile) -> tuple[Array, Array]:
             f"{log.name} holds {len(samples)} samples of the IMU, less than a second.",
             remedy="Record again; `upright status` shows whether the IMU is heard.",
         )
-    return np.array([each.acceleration for each in samples]), np.array([each.angular_rate for each in samples])
+    return Samples(
+        np.array([(each.timestamp_ns - samples[0].timestamp_ns) * 1e-9 for each in samples]),
+        np.array([each.acceleration for each in samples]),
+        np.array([each.angular_rate for each in samples]),
+    )
 
 
 def _white(values: Array) -> float:
     """Standard deviation of the white noise of the noisiest column."""
     return float(np.max(np.std(np.diff(values, axis=0), axis=0))) / sqrt(2.0)
-
-
-def _lean(evidence: Evidence) -> tuple[str, float]:
-    """The angle by which the vehicle falls: its name, and its mean at the end of the recording, rad."""
-    name = registry.nominal_model(evidence.vehicle.vehicle.kind).joints[0].coordinate
-    recording = load(evidence.recording, evidence.vehicle)
-    return name, float(np.mean(recording[name][recording.time > recording.time[-1] - ENDS]))
-
-
-def _across(lean: str, force: Array) -> float:
-    """The other angle of the vehicle, rad, which is zero on level ground if the IMU is mounted straight."""
-    return abs(atan2(force[0] if lean == "roll" else force[1], force[2]))

@@ -71,8 +71,8 @@ def compared(evidence: Evidence) -> Found:
     model = _model(evidence) or (["--model", str(evidence.result)] if evidence.results else [])
     document = evidence.upright(["compare", *_recordings(evidence), *model, "--report", str(page)])
     result = _kept(evidence, document)
-    best = _best(evidence)
-    subjects = [each for each in document["models"] if best is None or each["name"] == best] or document["models"]
+    name = evidence.model.stem if evidence.model.is_file() else _best(evidence)
+    subjects = [each for each in document["models"] if each["name"] == name] or document["models"]
     loops = [each["closed_loop"] for each in subjects if each.get("closed_loop", {}).get("available")]
     errors = [float(value) for each in loops for value in each["over_floor"].values()]
     ratios = [float(each["innovation_ratio"]) for each in subjects if each.get("innovation_ratio") is not None]
@@ -140,8 +140,8 @@ def _begin(evidence: Evidence) -> list[str]:
 
 
 def _best(evidence: Evidence) -> str | None:
-    """The recommended method of the newest result; None if a model file is compared."""
-    if _model(evidence) or not evidence.results:
+    """The recommended method of the newest result, whose model has its name; None if there is none."""
+    if not evidence.results:
         return None
     best: str | None = json.loads(evidence.result.read_text("utf-8")).get("best")
     return best

@@ -121,8 +121,8 @@ class RiseFromRest:
             elif not self._lifted and self._elapsed > LIFT_OFF_TIMEOUT:
                 self._give_up(
                     f"the vehicle did not lift off within {LIFT_OFF_TIMEOUT:g} s at {self._rate:.3g} rad/s of "
-                    "precession: the rate is too small, the gravity stiffness is larger than assumed, or something "
-                    "holds it down"
+                    "precession: a gimbal turns the other way (direction), the IMU is turned (imu.axes), the flywheels "
+                    "are slow, the gravity stiffness is larger than assumed, or something holds it down"
                 )
             elif self._elapsed > UPRIGHT_TIMEOUT:
                 self._give_up(
