@@ -190,15 +190,16 @@ def _go_through(guide: Guide, events: Events, first: str | None, *, yes: bool) -
         if events.json and not yes:
             events.result(0, f"{step.id} comes next; --yes carries it out, --step and --skip do one at a time.")
             return 0
-        entry = _carried_out(guide, events, step, yes=yes)
-        if entry is None:
+        outcome = _carried_out(guide, events, step, yes=yes)
+        if outcome is None:
             events.result(1, "Stopped. `upright commission --resume` goes on.")
             return 1
-        if yes and entry.state not in ("accepted", "skipped"):
+        done = outcome.state in ("accepted", "skipped")
+        if yes and not done:
             report = guide.save_report()
             events.result(1, f"Stopped at {step.id}. Report: {report}")
             return 1
-        if entry.state not in ("accepted", "skipped") and again:
+        if not done and again:
             again.insert(0, step.id)
 
 

@@ -51,9 +51,9 @@ def entering(at: str, excitation: float) -> tuple[float, float, float]:
 class GimbalHandling:
     """Setpoints are precession rates, rad/s, and those of the trim mass, m/s.
 
-    `support` and `budget` (of precession) in rad. The excitation enters `at` an injection point; on the support the trim
-    mass moves by `trim_per_gimbal` m/rad. `full` takes over after `settling` s upright; None if the reduced controller
-    stays.
+    `support` and `budget` (of precession) in rad. The excitation enters `at` an injection point; on the support the
+    trim mass moves by `trim_per_gimbal` m/rad. `full` takes over after `settling` s upright; None if the reduced
+    controller stays.
     """
 
     def __init__(

@@ -136,14 +136,16 @@ def _what_balanced(vehicle: MonocabFile, record: Recorded, *, trimming: bool) ->
     """The controller that gives the recorded setpoints, and where the excitation entered; None if none of them does.
     The full one moves the trim mass; if only the excitation does, it is the reduced one."""
     reduced = design(vehicle)
-    candidates = [(_Balancing(vehicle, reduced, None, trimming), (TRIM_RATE,) if trimming else POINTS)]
+    alone: tuple[str, ...] = (TRIM_RATE,) if trimming else POINTS
+    candidates = [(_Balancing(vehicle, reduced, None, trimming), alone)]
     if trimming:
         candidates.append((_Balancing(vehicle, reduced, design_full(vehicle), trimming), (*POINTS, TRIM_RATE)))
     for balancing, points in candidates:
-        replayed = partial(_replayed, balancing, record, until=record.last)
-        at = entered_at(
-            points, lambda at, replay=replayed: replay(at)[1], record, [axis.setpoint for axis in balancing.driven]
-        )
+
+        def given(at: str, balancing: _Balancing = balancing) -> Array:
+            return _replayed(balancing, record, at, record.last)[1]
+
+        at = entered_at(points, given, record, [axis.setpoint for axis in balancing.driven])
         if at is not None:
             return balancing, at
     return None
