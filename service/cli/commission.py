@@ -155,11 +155,11 @@ def _commission(
         events.result(0, f"{skip} is skipped.")
         return 0
     if only is not None:
-        entry = _carried_out(guide, events, guide.steps.find(only), yes=yes, recording=recording)
-        if entry is None:
+        outcome = _carried_out(guide, events, guide.steps.find(only), yes=yes, recording=recording)
+        if outcome is None:
             return 1
-        done = entry.state in ("accepted", "skipped")
-        events.result(0 if done else 1, "" if done else f"{only}: {entry.state.value.replace('_', ' ')}.")
+        done = outcome.state in ("accepted", "skipped")
+        events.result(0 if done else 1, "" if done else f"{only}: {outcome.state.value.replace('_', ' ')}.")
         return 0 if done else 1
     began = [each for each in guide.record() if each.step]
     if begin:

@@ -105,7 +105,7 @@ def demo(
         diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
         page.print(
             "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add the missing"
-            " effect."
+            f" effect. The whole way to a controller: `upright commission --virtual --vehicle {vehicle}`."
         )
 
     experiments, data = experiment or list(story.experiments), data or Path("recordings")
