@@ -32,11 +32,17 @@ def dashboard(
     data: Annotated[Path, typer.Option("--data", help="Folder of the recordings.")] = Path("recordings"),
     host: Annotated[str, typer.Option(help="Address to listen on; the page is for this machine.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to listen on.")] = 8765,
+    socket: Annotated[
+        Path | None,
+        typer.Option(
+            "--socket", help="The daemon's control socket, for the steps of the commissioning.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Show a vehicle live in a browser: its motion, the prediction of its model, and missing effects.
 
-    The page gets live data from the broker by websockets; this command serves recordings and diagnoses. It works
-    without a network. Ctrl-C ends it; the vehicle is not affected.
+    The page gets live data from the broker by websockets; this command serves recordings and diagnoses, and evaluates
+    the steps of the commissioning. It works without a network. Ctrl-C ends it; the vehicle is not affected.
     """
     import uvicorn
 
@@ -51,6 +57,6 @@ def dashboard(
             password = password_file.read_text(encoding="utf-8").partition("\n")[0]
         except OSError as error:
             raise typer.BadParameter(f"{password_file}: {error.strerror}", param_hint="--password-file") from error
-    settings = Settings(load(vehicle), data, websocket, user, password, host)
+    settings = Settings(load(vehicle), data, websocket, user, password, host, socket)
     people.print(f"Dashboard: http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{port}")
     uvicorn.run(Dashboard(settings).app, host=host, port=port, log_level="warning", access_log=False)

@@ -1,6 +1,8 @@
-"""The dashboard's server: the static page, its configuration, recordings, and jobs. It does not command the vehicle.
+"""The dashboard's server: the static page, its configuration, recordings, and jobs. It does not move the vehicle.
 
 The page gets live data from the broker, over MQTT websockets; commands go the same way to the daemon's command layer.
+The steps of a commissioning are carried out by jobs, which pass their result to the daemon by its control socket; an
+experiment of a step has been run by the page before, which holds its lease.
 The server is for the local machine only: requests for another host name are refused, requests that change something
 must come from the page (a header that no foreign page can send), and the page loads nothing from elsewhere.
 """
@@ -33,7 +35,7 @@ from service.control import assembly
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording
 from telemetry.errors import UprightError
-from vehicles import registry
+from vehicles import commissioning, registry
 from vehicles.file import VehicleFile
 
 STATIC = Path(__file__).with_name("static")
@@ -41,11 +43,16 @@ LOCAL = ["localhost", "127.0.0.1", "[::1]"]
 MARK = "x-upright"
 """Header of requests that change something. A page from elsewhere cannot send it without a preflight (CORS)."""
 LARGEST_BODY = 10_000
+SHORTEST_REASON, LONGEST_REASON = 3, 500
+"""Characters of the reason why a step is skipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """The page's connections and the folder of the recordings. `websocket` is the broker's, ws://HOST:PORT."""
+    """The page's connections and the folder of the recordings.
+
+    `websocket` is the broker's, ws://HOST:PORT; `socket` is the daemon's control socket, by default the usual one.
+    """
 
     vehicle: VehicleFile
     data: Path
@@ -53,6 +60,7 @@ class Settings:
     user: str = ""
     password: str = ""
     host: str = "127.0.0.1"
+    socket: Path | None = None
 
 
 class Dashboard:
@@ -64,6 +72,7 @@ class Dashboard:
         self._jobs = Jobs()
         self._models = self._folder.path / "models"
         self._reports = self._folder.path / "reports"
+        self._commissioning = self._folder.path / "commissioning"
         routes = [
             Route("/api/config", self._config),
             Route("/api/recordings", self._list),
@@ -73,6 +82,7 @@ class Dashboard:
             Route("/api/jobs", self._start, methods=["POST"]),
             Route("/api/jobs/{number:int}", self._job, methods=["GET", "DELETE"]),
             Route("/reports/{name}", self._report),
+            Route("/commissioning/{name}", self._commissioning_page),
             Mount("/", StaticFiles(directory=STATIC, html=True)),
         ]
         self.app = Starlette(
@@ -172,7 +182,9 @@ class Dashboard:
 
     def _words(self, kind: object, document: dict[str, Any]) -> list[str]:
         """The command line of a job. Values from outside are looked up, never passed on directly."""
-        vehicle = ["--vehicle", self._settings.vehicle.path or self._settings.vehicle.vehicle.id]
+        if kind in ("commission", "skip", "begin"):
+            return self._commission(kind, document)
+        vehicle = self._vehicle
         names = document.get("recordings", [])
         if not isinstance(names, list) or not 0 < len(names) <= 8:
             if kind != "undo":
@@ -209,6 +221,26 @@ class Dashboard:
                 return ["model", "undo", str(own)]
         raise HTTPException(400, "no such job")
 
+    def _commission(self, kind: object, document: dict[str, Any]) -> list[str]:
+        """The command line of a step. Its experiment has been run before: a job never moves the vehicle."""
+        socket = ["--socket", str(self._settings.socket.absolute())] if self._settings.socket is not None else []
+        daemon = [*self._vehicle, *socket]
+        steps = commissioning.steps_of(self._settings.vehicle.vehicle.kind)
+        if kind == "begin":
+            return ["commission", "--begin", *daemon]
+        step = steps.find(str(document.get("step")))
+        if kind == "skip":
+            return ["commission", "--skip", step.id, f"--reason={_reason(document.get('reason'))}", *daemon]
+        name = document.get("recording")
+        if (name is None) == bool(step.experiment):
+            raise HTTPException(400, f"step {step.id} has {'an' if step.experiment else 'no'} experiment to evaluate")
+        recording = [] if name is None else ["--recording", str(self._folder.find(str(name)))]
+        return ["commission", "--step", step.id, *recording, "--yes", *daemon]
+
+    @property
+    def _vehicle(self) -> list[str]:
+        return ["--vehicle", self._settings.vehicle.path or self._settings.vehicle.vehicle.id]
+
     async def _job(self, request: Request) -> Response:
         job = self._jobs.find(request.path_params["number"])
         if job is None:
@@ -218,15 +250,29 @@ class Dashboard:
         return JSONResponse(job.to_json())
 
     async def _report(self, request: Request) -> Response:
-        """A report as a separate page, in which no script can run."""
-        name = request.path_params["name"]
-        there = [each.name for each in self._reports.iterdir()] if self._reports.is_dir() else []
-        if name not in there or not name.endswith(".html"):
-            raise HTTPException(404, "no such report")
-        return FileResponse(self._reports / name, media_type="text/html", headers={"content-security-policy": REPORT})
+        return _report_of(self._reports, request.path_params["name"])
+
+    async def _commissioning_page(self, request: Request) -> Response:
+        return _report_of(self._commissioning, request.path_params["name"])
 
 
 REPORT = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+
+
+def _report_of(folder: Path, name: str) -> Response:
+    """A report as a separate page, in which no script can run."""
+    there = [each.name for each in folder.iterdir()] if folder.is_dir() else []
+    if name not in there or not name.endswith(".html"):
+        raise HTTPException(404, "no such report")
+    return FileResponse(folder / name, media_type="text/html", headers={"content-security-policy": REPORT})
+
+
+def _reason(words: object) -> str:
+    """The reason of a person, on one line."""
+    reason = " ".join(words.split()) if isinstance(words, str) else ""
+    if not (SHORTEST_REASON <= len(reason) <= LONGEST_REASON and reason.isprintable()):
+        raise HTTPException(400, f"a reason has {SHORTEST_REASON} to {LONGEST_REASON} characters")
+    return reason
 
 
 def assembly_model(vehicle: VehicleFile) -> str:

@@ -35,7 +35,7 @@ class TooManyJobs(UprightError):
 
 @dataclass(slots=True)
 class Job:
-    """One run; `result` is the JSON document that it printed, `error` its message if it failed."""
+    """One run; `result` is the JSON document that it printed, of several the last; `error` its message if it failed."""
 
     id: int
     kind: str
@@ -121,15 +121,27 @@ class Jobs:
             job.state, job.error = "failed", str(error)
 
     def _finish(self, job: Job, status: int, output: bytes, messages: bytes) -> None:
-        try:
-            job.result = json.loads(output) if output.strip() else None
-        except ValueError:
-            job.result = None
+        job.result = _result(output)
         # A diagnosis of insufficient data has exit status 1 and an answer.
         job.state = "done" if job.result is not None else "failed"
         if job.state == "failed":
             lines = messages.decode(errors="replace").strip().splitlines()
             job.error = lines[-1][:1000] if lines else f"ended with exit status {status}"
+
+
+def _result(output: bytes) -> Any:
+    """The JSON document of an output, or the result at the end of JSON lines; None if there is none.
+
+    A process that ends early has printed events, but no result.
+    """
+    for text in (output, output.strip().rpartition(b"\n")[2]):
+        try:
+            document = json.loads(text)
+        except ValueError:
+            continue
+        event = isinstance(document, dict) and document.get("type", "result") != "result"
+        return None if event else document
+    return None
 
 
 def _lower_priority() -> None:

@@ -77,7 +77,7 @@ async def _run(
         vehicle = vehicle.model_copy(update={"mqtt": vehicle.mqtt.model_copy(update=mqtt)})
         places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
         daemon = Daemon(vehicle, places, lock_step=True)
-        shown = nullcontext() if port is None else _dashboard(vehicle, data, broker.websocket, port)
+        shown = nullcontext() if port is None else _dashboard(vehicle, places, broker.websocket, port)
         disturbance = usual_disturbance(vehicle)
         with (
             shown,
@@ -110,7 +110,7 @@ async def _run(
 
 
 @contextmanager
-def _dashboard(vehicle: VehicleFile, data: Path, websocket: str, port: int) -> Iterator[None]:
+def _dashboard(vehicle: VehicleFile, places: Places, websocket: str, port: int) -> Iterator[None]:
     """The dashboard on this machine's `port`, in a thread of its own. Raises DemoError if it is in use."""
     import uvicorn
 
@@ -120,7 +120,7 @@ def _dashboard(vehicle: VehicleFile, data: Path, websocket: str, port: int) -> I
         place = socket.create_server(("127.0.0.1", port))
     except OSError as error:
         raise DemoError(f"port {port}: {error.strerror}.", remedy="Choose another one with --port.") from error
-    application = Dashboard(Settings(vehicle, data, websocket)).app
+    application = Dashboard(Settings(vehicle, places.data, websocket, socket=places.socket)).app
     server = uvicorn.Server(uvicorn.Config(application, log_level="warning", access_log=False))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, name="dashboard")
     thread.start()
