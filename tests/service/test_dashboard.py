@@ -16,16 +16,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal, Protocol
-from urllib.parse import urlsplit
 
 import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt import subscribe
-from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 from slow_link import SlowLink
 from starlette.exceptions import HTTPException
 from topology import LEASE, Topology, topology, vehicle_text
+from watched import PATIENCE, Watched, chromium
 
 from service.dashboard.app import Dashboard, Settings
 from telemetry.recording import Recording
@@ -35,12 +35,10 @@ from vehicles.file import load
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 
-VIEWS = ("live", "experiments", "identify", "gap", "recordings")
+VIEWS = ("live", "commissioning", "identify", "gap", "recordings")
 HOSTILE = "<img src=x onerror=window.hacked=1>"
 HIDDEN = "viscous_friction"
 METHODS = ("prediction_error", "instrumental_variables")
-PATIENCE = 60_000
-"""Timeout on a machine that is busy with other tests, ms."""
 
 
 @pytest.fixture(scope="module")
@@ -60,57 +58,8 @@ def screenshots(pytestconfig: pytest.Config) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    executable = shutil.which("chromium")
-    if executable is None:
-        pytest.skip("no chromium here: apt-get install chromium")
-    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []  # there is no sandbox as root
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=sandbox)
-        yield browser
-        browser.close()
-
-
-class Watched:
-    """A page and its errors: console errors, exceptions, requests that leave this machine."""
-
-    def __init__(self, context: BrowserContext, address: str, link: str | None = "live", **config: object) -> None:
-        """`link` is the connection state that the page reaches; `config` replaces entries of the server's answer."""
-        self.errors: list[str] = []
-        self.page: Page = context.new_page()
-        self.page.set_default_timeout(PATIENCE)
-        self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
-        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.on("request", lambda request: self._check_local(request.url))
-        self.page.on("websocket", lambda socket: self._check_local(socket.url))
-        if config:
-            self.page.route("**/api/config", lambda route: self._change_config(route, config))
-        self.page.goto(address)
-        if link is not None:
-            expect(self.page.locator("#link")).to_have_text(link, timeout=PATIENCE)
-
-    def _change_config(self, route: Route, config: dict[str, object]) -> None:
-        answer = route.fetch()
-        route.fulfill(response=answer, json={**answer.json(), **config})
-
-    def _check_local(self, url: str) -> None:
-        if urlsplit(url).hostname not in ("localhost", "127.0.0.1"):
-            self.errors.append(f"request to {url}")
-
-    def picture(self, path: Path) -> None:
-        """Take a picture of the whole page, in a window of its full height: charts off the screen are not drawn."""
-        size = self.page.viewport_size
-        assert size is not None
-        height, drawn = size["height"], 0
-        while height != drawn:  # charts that become visible may make it higher
-            drawn, height = height, self.page.evaluate("document.documentElement.scrollHeight")
-            self.page.set_viewport_size({"width": size["width"], "height": height})
-            self.page.wait_for_timeout(400)
-        self.page.screenshot(path=path)
-        self.page.set_viewport_size(size)
-
-    def show(self, view: str) -> None:
-        self.page.click(f"#tab-{view}")
-        expect(self.page.locator(f"#view-{view}")).to_be_visible()
+    with chromium() as launched:
+        yield launched
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +71,16 @@ def watched(browser: Browser, parts: Topology) -> Iterator[Watched]:
     assert watched.errors == []
 
 
+def show_experiments(watched: Watched) -> None:
+    """They are unfolded below the steps of the commissioning; a vehicle without steps has them alone."""
+    watched.show("commissioning")
+    folded = watched.page.locator("#all-experiments:not([open]) > summary")
+    if folded.count():
+        folded.click()
+
+
 def start(watched: Watched, name: str) -> None:
-    watched.show("experiments")
+    show_experiments(watched)
     watched.page.click(f"[data-experiment={name}]:enabled")
     expect(watched.page.locator("#mode")).to_have_text("running")
 
@@ -147,7 +104,7 @@ def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Re
     for view in VIEWS:
         watched.show(view)
         watched.picture(screenshots / f"{view}-running-light.png")
-    watched.show("experiments")
+    show_experiments(watched)
     expect(page.locator("#outcome")).to_contain_text("completed within the limits", timeout=PATIENCE)
     expect(page.locator("#outcome")).to_have_attribute("data-ok", "true")
     name = page.inner_text("#outcome").rpartition("Recording: ")[2].strip()
@@ -439,7 +396,7 @@ def test_fault_is_shown_and_reset(watched: Watched, parts: Topology) -> None:
     expect(page.locator("[data-experiment=hold]")).to_be_disabled()
     watched.show("live")
     expect(page.locator("#interlocks")).to_contain_text("an operator requested an immediate stop")
-    watched.show("experiments")
+    show_experiments(watched)
     page.focus("#reset")
     page.keyboard.press("Enter")
     expect(page.locator("#mode")).to_have_text("disarmed")

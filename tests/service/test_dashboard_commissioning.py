@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 import sys
-import threading
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-import uvicorn
+from served import served
 from starlette.exceptions import HTTPException
 
 from service.dashboard import jobs
@@ -39,21 +35,6 @@ def dashboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Dashboard:
     monkeypatch.setattr(commissioning, "steps_of", lambda kind: STEPS)
     (tmp_path / RECORDING).touch()
     return Dashboard(Settings(load("monocab"), tmp_path, "ws://127.0.0.1:9001", socket=tmp_path / "upright.sock"))
-
-
-@contextmanager
-def served(dashboard: Dashboard) -> Iterator[str]:
-    """The address of the dashboard, served until the block ends."""
-    place = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(dashboard.app, log_level="warning", access_log=False))
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
-    thread.start()
-    try:
-        yield f"http://localhost:{place.getsockname()[1]}/"
-    finally:
-        server.should_exit = True
-        thread.join()
-        place.close()
 
 
 def get(address: str, body: bytes | None = None) -> tuple[int, str, str]:

@@ -1,4 +1,4 @@
-// Experiments: start one and hold its lease; its progress, the limits, and its result.
+// All experiments: start one and hold its lease; its progress, the limits, and its result.
 
 import { h, fill, number, seconds, text } from "./dom.js";
 
@@ -9,7 +9,35 @@ const WORDS = {
   frequencies: (x) => `${x.map((each) => number(each)).join(", ")}\u00a0Hz`, width: (x) => `${number(x)}\u00a0s wide`, lines: (x) => `${number(x)} lines`,
   spectrum: (x) => `${x.length} lines`, controller: (x) => `${x} controller`,
   load: (x) => `a load of ${number(x.torque)}\u00a0N m after ${number(x.after)}\u00a0s`,
+  tilt: (x) => `tilted over by hand after ${number(x.after)}\u00a0s, in ${number(x.duration)}\u00a0s`,
 };
+
+const UNITS = { trim_rate: "m/s" }; // of an amplitude, where it is not that of the vehicle's setpoint
+
+const isOff = (each) => each.at === "rest" && each.excitation === "none";
+
+// Whether the vehicle leaves its support.
+export const getsUp = (each) => each.at !== "support" && !isOff(each);
+
+// An experiment in words; `unit` is that of the vehicle's setpoint.
+export function describe(each, unit) {
+  const silent = each.excitation === "silence";
+  const what = silent ? `no setpoints and no heartbeat for ${number(each.width)}\u00a0s` : isOff(each) ? "drives off"
+    : each.excitation === "none" ? "no excitation" : `${each.excitation.replaceAll("_", " ")}${each.at === "support" ? " of the drives" : ""}`;
+  const details = Object.entries(WORDS).filter(([key]) => each[key] !== undefined && !(silent && key === "width"))
+    .map(([key, words]) => words(each[key], UNITS[each.at] ?? unit));
+  return [`${number(each.duration)}\u00a0s`, what, ...details].join(", ");
+}
+
+// What an experiment does not do: nobody should wait for the vehicle to get up.
+export const stays = (each) => (getsUp(each) ? null : h("span", { class: "badge", "data-kind": "active" }, "stays on its support"));
+
+// Why no experiment can be started now; empty if one can.
+export function obstacle(state) {
+  if (!state) return "The vehicle has not been heard yet";
+  if (!state.commands) return "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file";
+  return state.mode === "running" ? "An experiment is running" : state.interlocks.join(" ");
+}
 
 export class Experiments {
   constructor(place, app) {
@@ -22,9 +50,8 @@ export class Experiments {
     const cards = Object.entries(app.config.experiments).map(([name, each]) => {
       const button = h("button", { class: "primary", "data-experiment": name, onclick: () => this.start(name) }, "Start");
       this.buttons.push(button);
-      const details = Object.entries(WORDS).filter(([key]) => each[key] !== undefined).map(([key, words]) => words(each[key], app.config.amplitude_unit));
-      return h("li", { class: "card" }, h("h3", {}, name), h("p", {}, each.title),
-        h("p", { class: "quiet" }, [`${number(each.duration)} s`, each.excitation === "none" ? "no excitation" : each.excitation.replaceAll("_", " "), ...details].join(", ")), button);
+      return h("li", { class: "card" }, h("h3", {}, name, " ", stays(each)), h("p", {}, each.title),
+        h("p", { class: "quiet" }, describe(each, app.config.amplitude_unit)), button);
     });
     const limits = app.config.limits.map(({ name, value, unit }) => h("div", {}, h("dt", {}, name), h("dd", { "data-limit": name }, `${number(value)} ${unit}`)));
     fill(place,
@@ -60,16 +87,14 @@ export class Experiments {
     if (!state) return;
     this.reset.hidden = state.mode !== "fault" || !state.commands;
     const running = state.mode === "running";
-    const ready = !running && state.commands && state.interlocks.length === 0;
+    const why = obstacle(state);
     for (const button of this.buttons) {
-      button.disabled = !ready;
-      button.title = !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file"
-        : running ? "An experiment is running" : state.interlocks.join(" ");
+      button.disabled = Boolean(why);
+      button.title = why;
     }
     if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${this.app.named(state.held_by || "nobody")}`);
     else {
-      text(this.what, !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file."
-        : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "No experiment is running.");
+      text(this.what, !state.commands ? `${why}.` : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "No experiment is running.");
       this.bar.value = 0;
     }
   }

@@ -9,18 +9,19 @@ export async function ask(path, options = {}) {
   return document;
 }
 
-// Runs a job and shows it in `place`; returns its result, or null if it failed or was cancelled.
+// Runs a job and shows it in `place`; returns its result, or null if it failed or was cancelled. A screen reader says once
+// what runs; the seconds are only seen.
 export async function run(place, what, words) {
   let job;
   try {
     job = await ask("api/jobs", { method: "POST", body: JSON.stringify(what) });
     const cancel = h("button", { onclick: () => ask(`api/jobs/${job.id}`, { method: "DELETE" }) }, "Cancel");
-    const status = h("span", {}, `${words} …`);
-    fill(place, h("p", { class: "busy", role: "status" }, status, " ", cancel));
+    const status = h("span", { "aria-hidden": "true" }, " …");
+    fill(place, h("p", { class: "busy" }, h("span", { role: "status" }, words), status, " ", cancel));
     while (job.state === "waiting" || job.state === "running") {
       await new Promise((resolve) => setTimeout(resolve, 500));
       job = await ask(`api/jobs/${job.id}`);
-      fill(status, `${words}, ${seconds(job.seconds)} …`);
+      fill(status, job.state === "waiting" ? ", waiting for another job …" : `, ${seconds(job.seconds)} …`);
     }
   } catch (error) {
     fill(place, h("p", { class: "bad", role: "alert" }, `${words}: ${error.message}`));

@@ -18,9 +18,20 @@ const CHECKS = {
   telemetry: isTelemetry,
   parameters: (m) => Object.values(m).every((entry) => isObject(entry) && "value" in entry),
   diagnosis: (m) => isText(m.verdict) && Array.isArray(m.findings) && m.findings.every((each) => isObject(each) && isText(each.effect)),
+  commissioning: (m) => Array.isArray(m.steps) && m.steps.length > 0 && m.steps.every(isStep) && (m.next === null || m.steps.some((each) => each.id === m.next)),
   progress: (m) => isNumber(m.fraction) && isText(m.task),
   event: (m) => isText(m.severity) && isText(m.text),
 };
+
+const STEP = ["id", "title", "why", "why_now", "prepare", "experiment", "state", "date", "by", "reason", "recording"];
+const ACCEPTANCE = ["quantity", "title", "unit", "limits", "remedy"];
+
+function isStep(step) {
+  return isObject(step) && STEP.every((key) => isText(step[key])) &&
+    [step.needs, step.text].every((each) => Array.isArray(each) && each.every(isText)) &&
+    isObject(step.files) && isObject(step.numbers) && Object.values(step.numbers).every(isObject) &&
+    Array.isArray(step.acceptance) && step.acceptance.every((each) => isObject(each) && ACCEPTANCE.every((key) => isText(each[key])));
+}
 
 // Keys of a batch that are not columns.
 const BESIDES = new Set(["t0", "dt", "health", "predictions"]);
@@ -78,7 +89,7 @@ export class Link {
     });
     socket.on("connect", () => {
       const mine = `${this.config.topic}/`;
-      const names = ["status", "state", "telemetry", "parameters", "diagnosis", "progress", "event", `reply/${this.client}`];
+      const names = ["status", "state", "telemetry", "parameters", "diagnosis", "commissioning", "progress", "event", `reply/${this.client}`];
       this.fresh();
       socket.subscribe(names.map((name) => mine + name), { qos: 1 }, (error) => this.report(error ? "the broker refuses subscriptions" : ""));
     });

@@ -4,7 +4,7 @@ import { $, fill, text } from "./dom.js";
 import { print } from "./charts.js";
 import { Link, newest } from "./link.js";
 import { Live } from "./live.js";
-import { Experiments } from "./experiments.js";
+import { Commissioning } from "./commissioning.js";
 import { Identify } from "./identify.js";
 import { Gap } from "./gap.js";
 import { Recordings } from "./recordings.js";
@@ -12,6 +12,7 @@ import { login } from "./login.js";
 
 const STALE = 1500; // ms without telemetry after which the displayed data are stale
 const LATE = 0.7; // s by which telemetry may be later than at first
+const ALIASES = { experiments: "commissioning" }; // earlier names of views, in addresses that people have kept
 
 const response = await fetch("api/config");
 const config = await response.json();
@@ -32,7 +33,8 @@ function notice(words) {
   $("notice").hidden = !words;
 }
 
-function show(name) {
+function show(asked) {
+  const name = ALIASES[asked] ?? asked;
   if (!views[name]) return;
   shown = name;
   for (const each of Object.keys(views)) {
@@ -113,7 +115,7 @@ document.title = `${config.vehicle} – upright`;
 text($("version"), `upright ${config.version}`);
 Object.assign(views, {
   live: new Live($("view-live"), app),
-  experiments: new Experiments($("view-experiments"), app),
+  commissioning: new Commissioning($("view-commissioning"), app),
   identify: new Identify($("view-identify"), app),
   gap: new Gap($("view-gap"), app),
   recordings: new Recordings($("view-recordings"), app),
@@ -138,7 +140,8 @@ addEventListener("beforeprint", () => print(true));
 addEventListener("afterprint", () => print(false));
 matchMedia("print").addEventListener("change", (event) => print(event.matches));
 addEventListener("hashchange", () => show(location.hash.slice(1)));
-show(views[location.hash.slice(1)] ? location.hash.slice(1) : "live");
+const first = location.hash.slice(1);
+show(views[ALIASES[first] ?? first] ? first : "live");
 
 app.link = new Link(config, {
   link: (link, refused) => {
@@ -160,6 +163,7 @@ app.link = new Link(config, {
   },
   parameters: (message) => each("parameters", message),
   diagnosis: (message) => each("diagnosis", message),
+  commissioning: (message) => each("commissioning", message),
   progress: (message) => each("progress", message),
   event: (message) => each("event", message),
 });
