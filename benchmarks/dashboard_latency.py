@@ -38,7 +38,10 @@ def latency() -> None:
         live(page)
         page.wait_for_timeout(3000)
         print_delays("at rest", page)
-        page.click("#tab-experiments")
+        page.click("#tab-commissioning")
+        folded = page.locator("#all-experiments:not([open]) > summary")
+        if folded.count():
+            folded.click()
         page.click("[data-experiment=multisine]:enabled")
         page.click("#tab-live")
         until(place, lambda status: status["phase"] == "excite")

@@ -19,7 +19,7 @@ AHEAD = 20.0
 """s of data by which the page may be behind. With more, the broker would drop messages."""
 SETTLED = 20.0
 """s in a view before it is measured: by then the garbage of the previous view is collected."""
-VIEWS = ("live", "experiments", "identify", "gap", "recordings")
+VIEWS = ("live", "commissioning", "identify", "gap", "recordings")
 
 PICTURES = """seconds => new Promise((resolve) => {
   const begin = performance.now(); let count = 0, last = begin, longest = 0;

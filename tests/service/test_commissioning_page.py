@@ -176,9 +176,9 @@ class Vehicle:
 
     def _on_message(self, client: mqtt.Client, _: object, message: mqtt.MQTTMessage) -> None:
         command = json.loads(message.payload)
-        self.commands.append(command)
         reply = {"id": command["id"], "ok": True, "code": "accepted", "text": "", "done": False}
         client.publish(f"{BASE}/reply/{command['client']}", json.dumps(reply), qos=1)
+        self.commands.append(command)
 
 
 class Process:
@@ -298,6 +298,16 @@ def picture(pytestconfig: pytest.Config) -> Callable[[Watched, str], None]:
     return take
 
 
+def start(watched: Watched, vehicle: Vehicle) -> None:
+    """Start the experiment of the next step, and wait until it is accepted."""
+    before, end = len(vehicle.commands), time.monotonic() + 20.0
+    watched.page.click("#carry-out")
+    while len(vehicle.commands) == before:
+        assert time.monotonic() < end, "the page sent no command"
+        time.sleep(0.02)
+    expect(watched.page.locator("#step-running")).to_be_visible()
+
+
 Picture = Callable[[Watched, str], None]
 
 
@@ -341,8 +351,8 @@ def test_step_runs_its_experiment_and_shows_what_is_wrong(
     watched: Watched, vehicle: Vehicle, process: Process, picture: Picture
 ) -> None:
     page = watched.page
-    page.click("#carry-out")
-    expect(page.locator("#step-running")).to_be_visible()
+    start(watched, vehicle)
+    expect(page.locator("#next-title .badge")).to_have_text("under way")
     expect(page.locator("#carry-out")).to_have_count(0)
     assert vehicle.commands[-1]["arguments"] == {"name": "tilt"}
     ask = "Tilt the vehicle over to its other support now, slowly, and let go there"
@@ -399,11 +409,7 @@ def test_experiment_that_did_not_do_what_it_should_is_not_evaluated(
     reply: dict[str, Any], words: str, watched: Watched, vehicle: Vehicle, process: Process
 ) -> None:
     page = watched.page
-    before = len(vehicle.commands)
-    page.click("#carry-out")
-    expect(page.locator("#step-running")).to_be_visible()
-    _until(lambda: len(vehicle.commands) > before)
-    page.wait_for_timeout(200)  # the first reply is on its way
+    start(watched, vehicle)
     vehicle.finish(**reply)
     expect(page.locator("#step-busy").get_by_role("alert")).to_contain_text(words)
     expect(page.locator("#step-busy")).to_contain_text("Not evaluated")
@@ -416,10 +422,8 @@ def test_evaluation_is_cancelled_and_done_again_without_the_experiment(
     watched: Watched, vehicle: Vehicle, process: Process
 ) -> None:
     page = watched.page
+    start(watched, vehicle)
     before = len(vehicle.commands)
-    page.click("#carry-out")
-    _until(lambda: len(vehicle.commands) > before)
-    page.wait_for_timeout(200)
     vehicle.finish(ok=True, recording=RECORDING)
     process.words()
     page.click("#step-busy >> text=Cancel")
@@ -428,7 +432,7 @@ def test_evaluation_is_cancelled_and_done_again_without_the_experiment(
     assert process.words()[4].endswith(RECORDING)
     process.answer("Accepted.")
     expect(page.locator("#step-busy")).to_have_text("Accepted.")
-    assert len(vehicle.commands) == before + 1
+    assert len(vehicle.commands) == before
 
 
 def test_step_is_not_skipped_without_a_reason(watched: Watched, vehicle: Vehicle, process: Process) -> None:
@@ -479,10 +483,7 @@ def test_interlocks_hold_only_steps_with_an_experiment(
 
 def test_refusal_of_a_job_is_shown(watched: Watched, vehicle: Vehicle) -> None:
     page = watched.page
-    before = len(vehicle.commands)
-    page.click("#carry-out")
-    _until(lambda: len(vehicle.commands) > before)
-    page.wait_for_timeout(200)
+    start(watched, vehicle)
     vehicle.finish(ok=True, recording="gone.arrow")
     expect(page.locator("#step-busy").get_by_role("alert")).to_contain_text("there is no recording with that name")
     watched.errors.clear()  # the browser reports the refusal, too
@@ -498,6 +499,7 @@ def test_completed_commissioning_links_its_report_and_begins_a_new_one(
     expect(done).to_contain_text("4 accepted, 1 skipped with a reason")
     expect(done.get_by_role("link", name="report.html")).to_have_attribute("href", "commissioning/report.html")
     picture(watched, "completed")
+    expect(page.locator("#begin-sure")).to_be_hidden()
     page.click("#begin")
     page.click("#begin-sure")
     assert process.words() == ["commission", "--begin"]
@@ -560,10 +562,3 @@ def test_view_is_used_by_keyboard(watched: Watched, vehicle: Vehicle, process: P
     process.answer("Accepted.")
     # Not the next button: a second Enter must not start what follows.
     expect(page.locator("#step-outcome h2")).to_be_focused()
-
-
-def _until(what: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not what():
-        assert time.monotonic() < end
-        time.sleep(0.02)

@@ -237,10 +237,10 @@ export class Commissioning {
     const place = `step ${this.steps.indexOf(step) + 1} of ${this.steps.length}`;
     return h("section", { id: "next-step", class: "card wide next", "data-step": step.id, "aria-labelledby": "next-title" },
       h("p", { class: "quiet" }, step.id === this.next ? `Next: ${place}` : `Again: ${place}`),
-      h("h2", { id: "next-title", tabindex: -1 }, step.title, " ", badge(step)),
+      h("h2", { id: "next-title", tabindex: -1 }, step.title, " ", badge(step, this.active === step.id)),
       withActivity ? this.activity : null,
       wasCarriedOut(step) ? [acceptance(step), found(step)] : null,
-      purpose(step, wasCarriedOut(step)), prepare(step), this.runs(step),
+      purpose(step, wasCarriedOut(step) || this.active !== null), prepare(step), this.runs(step),
       wasCarriedOut(step) ? null : acceptance(step),
       this.active ? null : [h("div", { class: "row go" }, primary, step.id === this.next ? skip : null), this.why, this.reset, this.form]);
   }
@@ -271,7 +271,7 @@ export class Commissioning {
     const again = step.id === this.next ? h("p", { class: "quiet" }, "This step comes next: its button is above.")
       : this.button(step, step.state === "accepted" ? "Repeat" : null);
     return h("li", {}, h("details", { "data-step": step.id, open },
-      h("summary", { "data-act": `open-${step.id}` }, h("span", { class: "name" }, this.title(step)), " ", badge(step)),
+      h("summary", { "data-act": `open-${step.id}` }, h("span", { class: "name" }, this.title(step)), " ", badge(step, this.active === step.id)),
       h("div", { class: "body" }, purpose(step), prepare(step), this.runs(step), acceptance(step), found(step), again,
         lacking.length ? h("p", { class: "quiet" }, `Waits for ${lacking.join(", ")}.`) : null)));
   }

@@ -9,8 +9,8 @@ const BADGES = {
 
 export const isDone = (step) => step.state === "accepted" || step.state === "skipped";
 
-export function badge(step) {
-  const [words, kind] = BADGES[step.state] ?? [step.state, ""];
+export function badge(step, active = false) {
+  const [words, kind] = active ? ["under way", "active"] : BADGES[step.state] ?? [step.state, ""];
   return h("span", { class: "badge", "data-kind": kind, "data-state": step.state }, words);
 }
 
