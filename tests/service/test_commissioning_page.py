@@ -503,6 +503,8 @@ def test_completed_commissioning_links_its_report_and_begins_a_new_one(
     page.click("#begin")
     page.click("#begin-sure")
     assert process.words() == ["commission", "--begin"]
+    expect(page.locator("#completed")).to_contain_text("Beginning")
+    expect(page.locator("#begin")).to_be_disabled()
     vehicle.record()
     process.answer("Begun.")
     expect(page.locator("#next-title")).to_contain_text("Every device answers")

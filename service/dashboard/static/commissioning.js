@@ -7,6 +7,7 @@ import { run } from "./jobs.js";
 import { acceptance, badge, file, found, isDone, prepare, purpose, wasCarriedOut } from "./step.js";
 
 const SHORTEST = 3, LONGEST = 500; // characters of a reason
+const BEGIN = "-"; // in place of a step's id while a new commissioning begins
 const BUSY = "A step is being carried out";
 
 export class Commissioning {
@@ -17,7 +18,7 @@ export class Commissioning {
     this.active = null; // id of the step that is being carried out
     this.last = null; // id of the step that was carried out last on this page
     this.alert = h("p", { id: "announcement", class: "announcement", role: "alert" });
-    this.top = h("div");
+    this.top = h("div", { id: "top" });
     this.all = h("ol", { id: "steps", class: "steps" });
     this.count = h("h2");
     const experiments = h("div");
@@ -115,7 +116,7 @@ export class Commissioning {
 
   missed(step, reply) {
     const words = this.app.named(reply.text || "there is no recording").replace(/\.$/, "");
-    return h("p", { class: "bad", role: "alert" }, reply.ok ? `Not evaluated, as experiment ${step.experiment} ended early: ${words}.` : `Not evaluated, as experiment ${step.experiment} failed: ${words}.`);
+    return h("p", { class: "bad", role: "alert" }, `Not evaluated, as experiment ${step.experiment} ${reply.ok ? "ended early" : "failed"}: ${words}.`);
   }
 
   async evaluate(step, recording) {
@@ -130,7 +131,6 @@ export class Commissioning {
     this.occupy(id);
     const result = await run(this.busy, what, words);
     this.release(result ? this.said(result) : null);
-    return result;
   }
 
   said(result) {
@@ -262,8 +262,8 @@ export class Commissioning {
       h("div", { class: "row go" }, h("button", { id: "begin", "data-quiet": "", "data-act": "begin", onclick: () => { sure.hidden = false; sure.querySelector("button").focus(); } }, "Begin a new commissioning")), sure);
   }
 
-  async begin() {
-    await this.record(null, { kind: "begin" }, "Beginning");
+  begin() {
+    return this.record(BEGIN, { kind: "begin" }, "Beginning");
   }
 
   item(step, open) {
