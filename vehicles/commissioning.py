@@ -56,6 +56,8 @@ class Acceptance(Data):
             return f"at most {self.most:g}{unit}"
         if self.most is None:
             return f"at least {self.least:g}{unit}"
+        if self.least == self.most:
+            return f"exactly {self.most:g}{unit}"
         return f"{self.least:g} to {self.most:g}{unit}"
 
 

@@ -252,13 +252,11 @@ export class Commissioning {
 
   completed(withActivity) {
     const skipped = this.steps.filter((each) => each.state === "skipped").length;
-    const pages = this.steps.flatMap((each) => Object.keys(each.files)).filter((path) => path.endsWith(".html"));
-    const report = pages.findLast((path) => path.includes("report")) ?? pages.at(-1);
     const sure = h("div", { class: "row", hidden: true }, "All steps will be open again. The record of this commissioning is kept. ",
       h("button", { id: "begin-sure", class: "primary", "data-quiet": "", onclick: () => this.begin() }, "Begin"), h("button", { onclick: () => { sure.hidden = true; } }, "Do not begin"));
     return h("section", { id: "completed", class: "card wide next" }, h("h2", { tabindex: -1 }, "All steps are done"),
       h("p", { class: "good" }, `✓ ${this.steps.length - skipped} accepted${skipped ? `, ${skipped} skipped with a reason` : ""}.`, this.began ? ` Begun ${this.began} UTC.` : ""),
-      report ? h("p", {}, "The report: ", file(report)) : null, withActivity ? this.activity : null,
+      h("p", {}, "The report, to read, sign and file: ", file("commissioning/report.html")), withActivity ? this.activity : null,
       h("div", { class: "row go" }, h("button", { id: "begin", "data-quiet": "", "data-act": "begin", onclick: () => { sure.hidden = false; sure.querySelector("button").focus(); } }, "Begin a new commissioning")), sure);
   }
 
