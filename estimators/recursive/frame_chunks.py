@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 LISTENING = 25
 """Cycles from which the sampling period is estimated, before the first cycle is used."""
+FEWEST = 25
+"""Samples of a window, at least: fewer hardly determine more than its initial state."""
 OLDEST = 0.1
 """Largest usable age of a sample of another device, s."""
 EARLIER_NS = 1_000_000_000
@@ -228,7 +230,7 @@ class FrameChunks:
             self.period = spacing[len(spacing) // 2] * 1e-9
             self._longest_gap = LONGEST_GAP * spacing[len(spacing) // 2]
             if self._window:
-                self._chunk = max(SHORTEST, round(self._window / self.period))
+                self._chunk = max(FEWEST, round(self._window / self.period))
             self._end_segment()
 
     def _end_segment(self, times: list[float] | None = None, rows: list[tuple[float, ...]] | None = None) -> None:

@@ -90,6 +90,7 @@ class RecursiveGaussNewton:
         total = len(self._prior)
         self._information: Array = np.zeros((total, total))
         self._meat: Array = np.zeros((total, total))
+        self._scores: Array = np.zeros((0, total))
         self._right: Array = np.zeros(total)
 
     def begin(self, prior: Array) -> None:
@@ -102,11 +103,14 @@ class RecursiveGaussNewton:
         turn[:, own] = -np.linalg.solve(inner, self._information[own][:, others]).T
         information = turn @ self._information[:, others]
         meat = turn @ (self._meat if self._clustered else self._meat + self._own_prior()) @ turn.T
+        scores = self._scores @ turn.T
         right = turn @ self._right
         self._information[:], self._meat[:], self._right[:] = 0.0, 0.0, 0.0
         self._information[np.ix_(others, others)] = information
         self._meat[np.ix_(others, others)] = meat
         self._right[others] = right
+        self._scores = np.zeros((len(scores), len(self._right)))
+        self._scores[:, others] = scores
         for each in (self._prior, self._data):
             each[own, own] = np.diag(prior)
 
@@ -122,9 +126,9 @@ class RecursiveGaussNewton:
         self._information += added
         self._right += columns.T @ residual + added[:, : self._size] @ self.z
         if self._clustered:
-            score = columns.T @ residual
-            added = np.outer(score, score)
-        self._meat += added
+            self._scores = _compressed(np.vstack((kept * self._scores, columns.T @ residual)))
+        else:
+            self._meat += added
 
     def move(self, about: Array, reach: Array) -> bool:
         """Move z to the solution, but not farther from `about` (n,) than `reach` (n,), nor beyond the bounds. Returns
@@ -193,18 +197,29 @@ class RecursiveGaussNewton:
         spread = inverse(information[:end, :end])
         data_meat = meat[:end, :end].copy()
         data_meat[self._nuisance, self._nuisance] += np.diag(self._prior)[self._nuisance]
-        alone = spread @ data_meat @ spread
+        alone = self._sandwich(spread, data_meat)
         information = self._information[:end, :end] + self._prior[:end, :end]
         spread = inverse(information)
         meat = meat[:end, :end].copy()
         places = range(self._size)
         meat[places, places] += np.diag(self._prior)[: self._size]
         across = self._information[:end, self._held]
-        total = with_known(spread @ meat @ spread, information, across, np.ones(across.shape[1]))
+        total = with_known(self._sandwich(spread, meat), information, across, np.ones(across.shape[1]))
         return Uncertainty(total[:size, :size], alone[:size, :size], total[: self._size, : self._size])
+
+    def _sandwich(self, spread: Array, meat: Array) -> Array:
+        """spread (meat + scores' scores) spread, (n, n). The part of the scores stays a sum of squares after rounding:
+        where the data hardly determine a direction, a product of three matrices gave negative variances."""
+        seen = self._scores[:, : len(spread)] @ spread
+        return np.asarray(spread @ meat @ spread + seen.T @ seen)
 
     def _own_prior(self) -> Array:
         """The prior of the segment's own unknowns alone, which is a measurement like any other, of its first sample."""
         prior = np.zeros_like(self._prior)
         prior[self._own, self._own] = self._prior[self._own, self._own]
         return prior
+
+
+def _compressed(rows: Array) -> Array:
+    """Rows (m, n) with the same product rows' rows, n of them at most."""
+    return rows if len(rows) <= rows.shape[1] else np.asarray(np.linalg.qr(rows, mode="r"))

@@ -17,7 +17,7 @@ re-evaluations are linearised at the point of the last one. If each chunk were l
 would seem identifiable: equations that each leave a slightly different direction undetermined leave none undetermined
 together.
 
-Without a gain it is a simulation, which restarts every second since the errors of an unstable plant grow without bound.
+Without a gain it is a simulation, which restarts every window since the errors of an unstable plant grow without bound.
 These errors are autocorrelated, so the covariance follows from the variation of the gradient between chunks. With
 little excitation, feedback biases it as any output error: the predictor with a gain is the sound method.
 """

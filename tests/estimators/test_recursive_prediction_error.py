@@ -18,11 +18,19 @@ from scipy.optimize import lsq_linear
 
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.segments import DataError, segments
+from estimators.fit.problem import jacobian
 from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.frame_chunks import Chunk, FrameChunks, join
 from estimators.recursive.gauss_newton import RecursiveGaussNewton
-from estimators.recursive.prediction_error import Method, RecursivePredictionError
+from estimators.recursive.prediction_error import (
+    GROWTH,
+    WINDOW,
+    Method,
+    RecursivePredictionError,
+    at_rest,
+    longest_window,
+)
 from models import library
 from models.model import Model
 from models.parts import Hold
@@ -32,7 +40,7 @@ from telemetry.recording import Recording
 from telemetry.samples import Frame
 from vehicles.file import load
 from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.registry import nominal_model
+from vehicles.registry import channels_of, names, nominal_model
 
 Array = NDArray[np.float64]
 
@@ -467,6 +475,44 @@ def test_nuisance_parameter_of_little_effect_does_not_limit_the_others() -> None
     assert made.side_deviations(np.zeros(2)) == pytest.approx(0.005)
     matters = _quadratic(np.diag([100.0, 100.0]), np.array([0.3, 9.0]), -wide, wide, nuisance=(1,))
     assert matters.move(np.zeros(2), np.full(2, 0.5))
+
+
+# The window of a simulation
+
+
+@pytest.mark.parametrize("kind", names())
+def test_initial_error_grows_little_within_a_window(kind: str) -> None:
+    vehicle = load(kind)
+    estimator = RecursivePredictionError(
+        nominal_model(kind),
+        parameters=vehicle.parameters.values,
+        channels=channels_of(kind),
+        method=Method.OUTPUT_ERROR,
+    )
+    problem = estimator._problem
+    pole = float(np.max(np.linalg.eigvals(jacobian(problem.kernel, problem.kernel.vector(), problem.segments)).real))
+    assert pole > 1.0, "it falls"
+    assert longest_window(problem) * pole == pytest.approx(GROWTH)
+
+
+def test_stable_model_is_simulated_for_a_second() -> None:
+    assert longest_window(at_rest(library.get("axis"), 0.01)) == WINDOW
+
+
+def test_variances_of_correlated_errors_stay_positive_where_the_data_determine_hardly_anything() -> None:
+    """Scores of very different magnitude, and a direction that only rounding sees."""
+    random, wide = np.random.default_rng(1), np.full(3, np.inf)
+    regression = RecursiveGaussNewton(np.ones(3), -wide, wide, estimated=3, own=2, clustered=True)
+    for place in range(60):
+        regression.begin(np.ones(2))
+        known = random.standard_normal((30, 2)) * 10.0 ** (5 - 4 * (place > 5))
+        columns = np.column_stack(
+            (known, known @ [1.0, 2.0], np.exp(0.3 * np.arange(30))[:, None] * random.random((1, 2)))
+        )
+        regression.add(random.standard_normal(30), columns, 1.0)
+        found = regression.uncertainty()
+        assert (np.diag(found.alone) > 0.0).all()
+        assert (np.diag(found.total) > 0.0).all()
 
 
 # In the bank of live estimators
