@@ -14,6 +14,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from estimators.parting import partings
+
 people = Console(stderr=True, highlight=False)
 """For progress, events and notes."""
 
@@ -71,6 +73,12 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Group:
         if estimate.get("reason"):
             notes.setdefault(estimate["reason"], []).append(method)
     return Group(table, *(Text(f"{', '.join(names)}: {reason}") for reason, names in notes.items()))
+
+
+def live_estimates(estimates: dict[str, Any], title: str = "") -> Group:
+    """The table of the live estimators' parameters, and where methods part (estimators.parting), a line each."""
+    parting = [Text.assemble(("methods part", "bold"), f" {each}") for each in partings(estimates)]
+    return Group(parameter_table(estimates, title), *parting)
 
 
 def missing_effects(diagnosis: Mapping[str, Any] | None) -> str:

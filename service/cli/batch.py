@@ -11,7 +11,7 @@ from service.cli.arguments import VehicleOption
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
 from service.cli.inputs import fitting, load_recording, working
-from service.output import check_folder, page, parameter_table, print_json
+from service.output import check_folder, live_estimates, page, print_json
 
 if TYPE_CHECKING:
     pass
@@ -166,7 +166,7 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
         print_json({"recordings": results})
         return
     for name, estimates in results.items():
-        page.print(parameter_table(estimates, title=Path(name).name))
+        page.print(live_estimates(estimates, title=Path(name).name))
 
 
 def convert(

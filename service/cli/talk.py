@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.output import missing_effects, page, parameter_table, people, print_json
+from service.output import live_estimates, missing_effects, page, people, print_json
 
 VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Id of the vehicle whose daemon to use.")]
 SocketOption = Annotated[Path | None, typer.Option("--socket", help="The daemon's control socket.", show_default=False)]
@@ -79,7 +79,7 @@ def experiment(
         people.print("Interrupted: lowering the vehicle ...")
         answer = list(_call({"verb": "stop"}, vehicle, socket))[-1]
     if not json and answer.get("estimates"):
-        page.print(parameter_table(answer["estimates"]))
+        page.print(live_estimates(answer["estimates"]))
     if not json and answer.get("recording"):
         page.print(missing_effects(answer.get("diagnosis")))
         page.print(f"Recording: {answer['recording']}")
@@ -117,7 +117,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
     for drive in answer["drives"]:
         page.print(f"  {drive['name']}: {drive['state']}{'  ' + drive['fault'] if drive['fault'] else ''}")
     if answer["estimates"]:
-        page.print(parameter_table(answer["estimates"]))
+        page.print(live_estimates(answer["estimates"]))
         page.print(missing_effects(answer["diagnosis"]))
 
 
@@ -147,7 +147,7 @@ def follow(messages: Iterator[dict[str, Any]]) -> dict[str, Any]:
                 bar.update(task, completed=message["fraction"])
                 if message["estimates"]:
                     shown = missing_effects(message["diagnosis"])
-                    live.update(Group(bar, parameter_table(message["estimates"]), shown))
+                    live.update(Group(bar, live_estimates(message["estimates"]), shown))
     return last
 
 

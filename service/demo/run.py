@@ -19,7 +19,7 @@ from service.control import api
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
 from service.mqtt.embedded_broker import EmbeddedBroker
-from service.output import missing_effects, page, parameter_table, people
+from service.output import live_estimates, missing_effects, page, people
 from service.virtual.passenger import carried
 from service.virtual.serving import virtual_vehicle_beside
 from service.virtual.vehicle import usual_disturbance
@@ -150,6 +150,6 @@ async def _experiment(name: str, socket: Path, follow: Follow) -> Path:
     if answer["exit_code"] != api.ExitCode.DONE:
         raise DemoError(f"experiment {name}: {answer['text']}")
     if answer.get("estimates"):
-        page.print(parameter_table(answer["estimates"]))
+        page.print(live_estimates(answer["estimates"]))
         page.print(missing_effects(answer.get("diagnosis")))
     return Path(answer["recording"])

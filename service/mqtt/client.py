@@ -1,10 +1,10 @@
 """MQTT: publishes the vehicle's data at a broker, and works on without one.
 
-Topics, under BASE/VEHICLE: `status` (online/offline, with last will), `state`, `parameters` and `diagnosis` retained,
-`telemetry` batches, `progress`, `event` and replies. `cmd/+` is subscribed to if commands are enabled, and its messages
-are forwarded unread (`service.mqtt.command_inbox`). Publishing only queues a message; one task communicates with the
-broker, and reconnects by itself. Of a retained topic only the latest message is kept; the others wait in bounded
-queues, and messages that do not fit are dropped and counted.
+Topics, under BASE/VEHICLE: `status` (online/offline, with last will), `state`, `parameters`, `methods` and `diagnosis`
+retained, `telemetry` batches, `progress`, `event` and replies. `cmd/+` is subscribed to if commands are enabled, and
+its messages are forwarded unread (`service.mqtt.command_inbox`). Publishing only queues a message; one task
+communicates with the broker, and reconnects by itself. Of a retained topic only the latest message is kept; the others
+wait in bounded queues, and messages that do not fit are dropped and counted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MOST_TELEMETRY = 60
 MOST_EVENTS = 200
 """Maximum number of messages that wait for the broker; the oldest are dropped."""
 
-RETAINED = ("state", "parameters", "diagnosis", "commissioning")
+RETAINED = ("state", "parameters", "methods", "diagnosis", "commissioning")
 """Topics whose last message the broker keeps, besides `status`."""
 
 MOST_COMMANDS = 200

@@ -5,6 +5,8 @@ telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    sample i was measu
 parameters  {NAME: {"value", "std", "unit", "status", "method", "coverage_percent", "reason"}}
             beside the vehicle's own, disturbance.JOINT.rms and disturbance.JOINT.correlation_time
             (models.random.disturbance)
+methods     {"estimates": {METHOD: {NAME: {"value", "std", "unit", "status"}}}, "parting": [{"parameter", "methods",
+            "sigmas", "text"}]}: all live methods, and where two of them part (estimators.parting)
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from math import isfinite
 from typing import Any
 
 from estimators.contract import Status
+from estimators.parting import partings
 from telemetry.samples import Frame
 
 LONGEST_STEP = 1.5
@@ -94,6 +97,18 @@ def parameters(estimates: Mapping[str, Any]) -> dict[str, Any]:
             for name, entry in _disturbance(joint, found).items():
                 chosen[name] = {**entry, "method": method}
     return chosen
+
+
+def methods(estimates: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of every method with results, and where methods part."""
+    shown = {}
+    for method, estimate in estimates.items():
+        entries = dict(estimate["parameters"])
+        for joint, found in estimate.get("disturbance", {}).items():
+            entries |= _disturbance(joint, found)
+        keys = ("value", "std", "unit", "status")
+        shown[method] = {name: {key: entry[key] for key in keys} for name, entry in entries.items()}
+    return {"estimates": shown, "parting": [each.to_json() for each in partings(estimates)]}
 
 
 def _disturbance(joint: str, found: Mapping[str, Any]) -> dict[str, Any]:

@@ -126,6 +126,32 @@ class Parameter(Message):
     method: str
 
 
+class MethodParameter(Message):
+    value: Number
+    std: Number
+    unit: str
+    status: str
+
+
+class Parting(Message):
+    """Two methods whose estimates of a parameter differ by more than two standard deviations of the difference."""
+
+    parameter: str
+    methods: Annotated[list[str], Field(min_length=2, max_length=2)]
+    sigmas: float
+    """The difference in standard deviations of the difference of two independent estimates."""
+    text: str
+    """The same as a sentence."""
+
+
+class Methods(Message):
+    """The live estimates of all methods side by side."""
+
+    estimates: dict[str, dict[str, MethodParameter]]
+    """By method and parameter; empty for a method without a result yet."""
+    parting: list[Parting]
+
+
 class Disturbance(Message):
     """The random force at a joint that no effect explains: a first-order process with RMS and correlation time."""
 
@@ -285,6 +311,7 @@ TOPICS: dict[str, type[BaseModel]] = {
     "state": State,
     "telemetry": Telemetry,
     "parameters": Parameter,
+    "methods": Methods,
     "diagnosis": Diagnosis,
     "commissioning": Commissioning,
     "progress": Progress,

@@ -1,15 +1,16 @@
 """The estimators that run for a kind of vehicle, live in the observer and in a replay, and the live diagnosis.
 
-The recursive estimator of the compiled model and the diagnosis that monitors it are created late: on the first start on
-a computer their models are compiled for some seconds, and neither the recording nor the other estimators wait for that.
-The cycles are kept until both join, so that the results are the same as if they had run from the beginning.
+The recursive estimators of the compiled model and the diagnosis that monitors one of them are created late: on the
+first start on a computer their models are compiled for some seconds, and neither the recording nor the other estimators
+wait for that. The cycles are kept until they join, so that the results are the same as if they had run from the
+beginning.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from estimators.contract import Estimator
 from telemetry.samples import Frame
@@ -19,7 +20,10 @@ from vehicles.load import asked_for
 if TYPE_CHECKING:
     from diagnosis.live.live import LiveDiagnosis
 
+Made = TypeVar("Made")
+
 RECURSION = "recursive_prediction_error"
+SIMULATION = "recursive_output_error"
 
 LOADED = "the experiment asks for a load; `upright compare` and `upright diagnose` know it, live it would be an effect"
 """Why there is no live diagnosis of an experiment with a load."""
@@ -34,8 +38,8 @@ STARTING = {
 def online_estimators(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> EstimatorBank:
-    """The estimators of a vehicle `kind`, the preferred one last: its own regressions, and the recursive prediction
-    error of its compiled model.
+    """The estimators of a vehicle `kind`, the preferred one last: the recursive output error of its compiled model, its
+    own regressions, and the recursive prediction error.
 
     `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support.
     Raises EstimationError if a parameter is missing.
@@ -44,7 +48,22 @@ def online_estimators(
     own = found.identification().regressions.values()
     regressions = [each.make(parameters, deviations, support, found.channels) for each in own]
     late = {RECURSION: partial(_live_diagnosis, kind, parameters, deviations, support)}
-    return EstimatorBank(regressions, late)
+    return EstimatorBank(regressions, late, {SIMULATION: partial(_simulation, kind, parameters, deviations, support)})
+
+
+def _simulation(
+    kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
+) -> Estimator:
+    from estimators.recursive.prediction_error import Method, RecursivePredictionError
+
+    return RecursivePredictionError(
+        registry.nominal_model(kind),
+        parameters=parameters,
+        deviations=deviations,
+        support=support,
+        channels=registry.channels_of(kind),
+        method=Method(SIMULATION),
+    )
 
 
 def _live_diagnosis(
@@ -65,16 +84,19 @@ class EstimatorBank:
     """Several estimators over the same cycles. An estimator that fails is left out from then on; its failure is its
     result.
 
-    `late` ones, given by method as factories of the estimator with its diagnosis, are inactive until `join`.
+    `late` ones, given by method as factories of the estimator with its diagnosis, are inactive until `join`, and so are
+    `late_first` ones, factories of estimators alone. The results are in the order `late_first`, `estimators`, `late`.
     """
 
     def __init__(
         self,
         estimators: Sequence[Estimator],
         late: Mapping[str, Callable[[], LiveDiagnosis]] | None = None,
+        late_first: Mapping[str, Callable[[], Estimator]] | None = None,
     ) -> None:
         self._estimators = list(estimators)
         self._late = dict(late or {})
+        self._late_first = dict(late_first or {})
         self._diagnoses = bool(late)
         self._live: LiveDiagnosis | None = None
         self._waiting: list[Frame] = []
@@ -88,26 +110,28 @@ class EstimatorBank:
     @property
     def complete(self) -> bool:
         """Whether all estimators have joined."""
-        return not self._late
+        return not (self._late or self._late_first)
 
     def join(self) -> None:
         """Create the late estimators, which may take seconds, and process the cycles so far."""
         late, self._late = self._late, {}
+        first, self._late_first = self._late_first, {}
         waiting, self._waiting = self._waiting, []
-        for method, make in late.items():
-            try:
-                live = make()
-            except Exception as error:  # In any case the recording and the others continue without it.
-                self._fail(method, error)
-            else:
+        joined = [made for method, make in first.items() if (made := self._made(method, make)) is not None]
+        self._estimators[:0] = joined
+        for method, make_diagnosed in late.items():
+            live = self._made(method, make_diagnosed)
+            if live is not None:
                 self._live = live
                 self._estimators.append(live.estimator)
-                self._feed(live.estimator, waiting)
+                joined.append(live.estimator)
+        for estimator in joined:
+            self._feed(estimator, waiting)
 
     def update(self, frames: Iterable[Frame]) -> None:
         """Take control cycles."""
         frames = list(frames)
-        if self._late:
+        if not self.complete:
             self._waiting += frames
         for estimator in self._estimators:
             self._feed(estimator, frames)
@@ -123,7 +147,7 @@ class EstimatorBank:
                 except (ArithmeticError, ValueError) as error:
                     self._fail(estimator.method, error)
             results[estimator.method] = self._failed[estimator.method]
-        return {**results, **dict.fromkeys(self._late, STARTING), **self._failed}
+        return {**results, **dict.fromkeys((*self._late_first, *self._late), STARTING), **self._failed}
 
     def diagnosis(self) -> dict[str, Any] | None:
         """The live diagnosis so far, JSON-ready as in `upright diagnose --json`; None for a kind of vehicle without a
@@ -145,6 +169,14 @@ class EstimatorBank:
                 estimator.update(frame)
         except (ArithmeticError, ValueError) as error:
             self._fail(estimator.method, error)
+
+    def _made(self, method: str, make: Callable[[], Made]) -> Made | None:
+        """What `make` creates; None if it fails, which is then the result of `method`."""
+        try:
+            return make()
+        except Exception as error:  # In any case the recording and the others continue without it.
+            self._fail(method, error)
+            return None
 
     def _fail(self, method: str, error: Exception) -> None:
         self._failed[method] = {

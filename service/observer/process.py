@@ -27,7 +27,7 @@ from typing import Any
 from service.beside import beside
 from service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
 from service.mqtt.home_assistant import discovery
-from service.mqtt.payloads import TelemetryBatches, parameters
+from service.mqtt.payloads import TelemetryBatches, methods, parameters
 from service.mqtt.thread import MqttThread
 from service.observer import link
 from service.observer.live_prediction import LivePrediction, live_prediction
@@ -318,6 +318,7 @@ class Observer:
         if estimates:
             found = parameters(estimates)
             self._mqtt.retain("parameters", found)
+            self._mqtt.retain("methods", methods(estimates))
             if self._prediction is not None:
                 self._prediction.use(found)
         if diagnosis is not None and diagnosis != self._published:

@@ -14,6 +14,7 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,8 @@ class Witness:
     ended: list[tuple[str, int]] = field(default_factory=list)
     """Reason and end, ns."""
     events: list[tuple[str, str, str]] = field(default_factory=list)
+    retained: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """The newest document of each retained topic."""
 
     def offer(self, frame: Frame) -> None:
         self.frames.append(frame)
@@ -82,6 +85,9 @@ class Witness:
 
     def event(self, severity: str, code: str, text: str) -> None:
         self.events.append((severity, code, text))
+
+    def retain(self, topic: str, document: dict[str, Any]) -> None:
+        self.retained[topic] = document
 
 
 class ClosedLoop:

@@ -532,11 +532,13 @@ def test_estimator_that_joins_late_gives_the_same_result_bit_for_bit() -> None:
         late.update(part)
         if place == 4000:
             assert late.results()["recursive_prediction_error"] == STARTING
+            assert late.results()["recursive_output_error"] == STARTING
             assert late.results()["recursive_least_squares"]["samples"] > 10
             late.join()
             assert late.complete
     assert list(late.results())[-1] == "recursive_prediction_error"
     assert late.results() == early.results()
+    assert late.results()["recursive_output_error"]["samples"] > 1000
     assert late.results()["recursive_prediction_error"]["samples"] > 1000
 
 

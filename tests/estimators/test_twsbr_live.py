@@ -15,7 +15,7 @@ from estimators.identify.run import identify
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
-from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from service.observer.online_estimators import RECURSION, SIMULATION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import replay
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
@@ -183,13 +183,15 @@ def test_live_and_replayed_results_are_identical_bit_for_bit() -> None:
     for place in range(0, len(frames), 10):
         live.update(frames[place : place + 10])
         if place == 1500:
-            assert live.results() == {RECURSION: STARTING}
+            assert live.results() == {SIMULATION: STARTING, RECURSION: STARTING}
             live.join()
     assert live.complete
     results = live.results()
     assert results == replay(run(), VEHICLE)
     assert results[RECURSION]["status"] == "ok"
     assert results[RECURSION] == final_result(frames).to_json()
+    assert results[SIMULATION]["samples"] > 2000
+    assert results[SIMULATION]["window"] < 0.3
 
 
 def final_result(frames: list[Frame]) -> Estimate:

@@ -20,7 +20,7 @@ from estimators.disturbance_estimate import DisturbanceEstimate
 from service.mqtt import topics as mqtt_topics
 from service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
 from service.mqtt.embedded_broker import EmbeddedBroker
-from service.mqtt.payloads import TelemetryBatches, parameters
+from service.mqtt.payloads import TelemetryBatches, methods, parameters
 from service.observer.client import ObserverClient
 from telemetry.samples import Frame
 from vehicles.monocab.channels import CHANNELS as MONOCAB
@@ -66,6 +66,7 @@ async def test_experiment_publishes_state_events_progress_and_results(
         summary = await record(client, frames)
         await until(lambda: watcher.of("parameters") and watcher.of("telemetry"))
         await until(lambda: watcher.of("parameters")[-1] == parameters(summary["estimates"]))
+        await until(lambda: watcher.of("methods")[-1] == methods(summary["estimates"]))
         await until(lambda: watcher.of("diagnosis") and watcher.of("diagnosis")[-1] == summary["diagnosis"])
         published = {each["code"]: each for each in watcher.of("event")}
         assert published.pop("end") == {"severity": "warning", "code": "end", "text": "an operator requested the end"}
@@ -303,3 +304,20 @@ def test_disturbance_is_published_with_the_parameters(shown: bool) -> None:
     mqtt_topics.Diagnosis.model_validate(
         {"adequate": True, "verdict": "adequate", "findings": [], "disturbance": {"roll": estimate.to_json()}}
     )
+
+
+def test_methods_are_published_side_by_side_with_where_they_part() -> None:
+    def of(value: float) -> dict[str, Any]:
+        entry = {"value": value, "std": 0.1, "unit": "kg m^2", "status": "ok", "coverage_percent": 9.0, "reason": ""}
+        return {"parameters": {"inertia": entry}}
+
+    disturbance = DisturbanceEstimate("roll", "N m", 8.1, 0.4, 0.31, 0.03, shown=True)
+    second = {**of(2.0), "disturbance": {"roll": disturbance.to_json()}}
+    published = methods({"starting": {"parameters": {}, "status": "starting"}, "first": of(1.0), "second": second})
+    mqtt_topics.Methods.model_validate(published)
+    assert published["estimates"]["starting"] == {}
+    assert published["estimates"]["first"] == {"inertia": {"value": 1.0, "std": 0.1, "unit": "kg m^2", "status": "ok"}}
+    assert published["estimates"]["second"]["disturbance.roll.rms"]["value"] == 8.1
+    (parting,) = published["parting"]
+    assert (parting["parameter"], parting["methods"], parting["sigmas"]) == ("inertia", ["first", "second"], 7.07)
+    assert parting["text"].startswith("inertia: first and second part, by 7.1 standard deviations")

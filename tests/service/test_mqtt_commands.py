@@ -288,6 +288,7 @@ async def test_everything_published_conforms_to_the_schemas(control: Control, br
     state = {
         "vehicle": "monocab", "mode": "disarmed", "experiment": None, "phase": "none", "code": "disarmed", "reason": "",
         "load": {"torque": 550.0, "ramp": 1.0, "announcement": "Sit down now"},
+        "tilt": {"duration": 5.0, "announcement": "Tilt it over now"},
         "interlocks": [], "faults": [], "version": "1", "since": 1.0, "held_by": None, "commands": True,
     }  # fmt: skip
     health = {
@@ -304,7 +305,7 @@ async def test_everything_published_conforms_to_the_schemas(control: Control, br
         for frame in cycles()[:100]:  # a minute later, few enough for none to be dropped
             control.client.offer(Frame(frame.timestamp_ns + 60_000_000_000, frame.values))
         await until(lambda: any("health" in each for each in watcher.of("telemetry")))
-        for topic in ("state", "progress", "event", "diagnosis", "telemetry", "parameters"):
+        for topic in ("state", "progress", "event", "diagnosis", "telemetry", "parameters", "methods"):
             await until(lambda topic=topic: watcher.of(topic))
             model = Parameter if topic == "parameters" else TOPICS[topic]
             for message in watcher.of(topic):

@@ -70,6 +70,7 @@ async def test_recording_live_results_and_replay_agree(client: ObserverClient) -
     assert results == summary["estimates"] == client.estimates
     assert results["recursive_least_squares"]["samples"] > 100
     assert results["recursive_prediction_error"]["samples"] > 100
+    assert results["recursive_output_error"]["samples"] > 100
     beside = json.loads(Path(summary["recording"].replace(".arrow", ".estimates.json")).read_text())
     assert beside["methods"] == results
     assert beside["diagnosis"] == summary["diagnosis"] == client.diagnosis

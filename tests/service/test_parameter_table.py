@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from service.output import parameter_table
+from service.output import live_estimates, parameter_table
 
 ESTIMATES = {
     "recursive_instrumental_variables": {
@@ -55,3 +55,15 @@ def test_reasons_name_the_method_if_there_are_several() -> None:
     output = printed({"a": one, "b": one, "c": failed})
     assert "drive_time_offset (a), drive_time_offset (b): the record does not tell it" in output
     assert "c: ValueError: [no] number" in output
+
+
+def test_live_estimates_end_with_where_methods_part() -> None:
+    (one,) = ESTIMATES.values()
+    other = {**one, "parameters": {"inertia": {"value": 1800.0, "std": 10.0, "unit": "kg m^2"}}}
+    page = Console(file=io.StringIO(), width=200)
+    page.print(live_estimates({"a": one, "b": other}))
+    assert isinstance(page.file, io.StringIO)
+    last = page.file.getvalue().splitlines()[-1].strip()
+    assert last == "methods part inertia: a and b part, by 4.0 standard deviations of their difference"
+    page.print(live_estimates({"a": one}))
+    assert page.file.getvalue().count("methods part") == 1

@@ -400,12 +400,12 @@ def test_falling_robot_is_stopped_and_its_voltage_is_zero_afterwards() -> None:
 # --- features that need a model of the vehicle
 
 
-def test_live_estimator_is_the_recursion_with_a_diagnosis_beside_it() -> None:
+def test_live_estimators_are_the_recursions_with_a_diagnosis_beside_one() -> None:
     bank = online_estimators("twsbr", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
     assert not bank.complete
     bank.join()
     assert bank.complete
-    assert list(bank.results()) == ["recursive_prediction_error"]
+    assert list(bank.results()) == ["recursive_output_error", "recursive_prediction_error"]
     document = bank.diagnosis()
     assert document is not None
     assert (document["verdict"], document["findings"]) == ("insufficient_data", [])
@@ -440,7 +440,7 @@ async def test_daemon_sets_up_the_motors_by_sdo_and_runs_an_experiment_over_a_bu
         assert [Path(report.eds).name for report in daemon.reports] == ["upright_motor.eds"] * 2
         answer = (await asyncio.to_thread(list, _ask(tmp_path, "experiment", name="doublet")))[-1]
         assert answer["exit_code"] == api.ExitCode.DONE, answer
-        assert list(answer["estimates"]) == ["recursive_prediction_error"]
+        assert list(answer["estimates"]) == ["recursive_output_error", "recursive_prediction_error"]
         assert answer["diagnosis"]["verdict"] in ("adequate", "insufficient_data"), answer["diagnosis"]
         unknown = (await asyncio.to_thread(list, _ask(tmp_path, "experiment", name="step")))[-1]
         assert unknown["exit_code"] == api.ExitCode.USAGE
@@ -454,7 +454,7 @@ async def test_daemon_sets_up_the_motors_by_sdo_and_runs_an_experiment_over_a_bu
     assert recording.channels == TWSBR
     assert Phase.EXCITE in recording["phase"]
     assert replay.replay(recording, vehicle) == answer["estimates"]
-    assert answer["estimates"]["recursive_prediction_error"]["samples"] > 200
+    assert all(each["samples"] > 200 for each in answer["estimates"].values())
     rebuilt = replay.load(Path(answer["recording"]).with_suffix(".log"), vehicle)
     assert "excitation" in replay.not_on_the_bus(TWSBR)
     for name in TWSBR.names:  # the last sample's setpoints may come after the log's end

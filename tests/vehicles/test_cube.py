@@ -225,13 +225,14 @@ def test_all_experiments_with_excitation_can_be_predicted() -> None:
     assert left_out == {"hold": "has no excitation"}
 
 
-def test_live_estimator_is_recursive_and_its_diagnosis_finds_nothing() -> None:
+def test_live_estimators_are_recursive_and_the_diagnosis_finds_nothing() -> None:
     bank = online_estimators("cube", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
     bank.join()
     bank.update(recorded("multisine").frames(CHANNELS))
-    found = bank.results()["recursive_prediction_error"]["parameters"]
-    for name, true in CubeTruth().parameters.items():
-        assert found[name]["value"] == pytest.approx(true, rel=0.05), name
+    for method in ("recursive_output_error", "recursive_prediction_error"):
+        found = bank.results()[method]["parameters"]
+        for name, true in CubeTruth().parameters.items():
+            assert found[name]["value"] == pytest.approx(true, rel=0.05), (method, name)
     report = bank.diagnosis()
     assert report is not None
     assert report["findings"] == []
