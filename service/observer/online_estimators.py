@@ -108,6 +108,11 @@ class EstimatorBank:
         self._undiagnosed = "" if asked_for(metadata) is None else LOADED
 
     @property
+    def estimators(self) -> tuple[Estimator, ...]:
+        """The estimators that have joined, the preferred one last."""
+        return tuple(self._estimators)
+
+    @property
     def complete(self) -> bool:
         """Whether all estimators have joined."""
         return not (self._late or self._late_first)
