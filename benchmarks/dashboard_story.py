@@ -59,6 +59,7 @@ class Story:
             yield "telemetry", payload
         if self.batches % 5 == 0:
             yield "parameters", json.dumps(self._parameters()).encode()
+            yield "methods", json.dumps(self._methods()).encode()
             yield "progress", json.dumps({"task": "multisine", "fraction": 0.5, "remaining": 100.0}).encode()
         if self.batches % 20 == 0:
             yield "diagnosis", json.dumps(self._diagnosis()).encode()
@@ -72,6 +73,11 @@ class Story:
                    "status": "ok", "method": "recursive_prediction_error", "coverage_percent": 100.0, "reason": ""}
             for name, entry in self._units.items()
         }  # fmt: skip
+
+    def _methods(self) -> dict[str, Any]:
+        methods = ("recursive_output_error", "recursive_least_squares", "recursive_prediction_error")
+        found = {name: dict(list(entry.items())[:4]) for name, entry in self._parameters().items()}
+        return {"estimates": dict.fromkeys(methods, found), "parting": []}
 
     def _diagnosis(self) -> dict[str, Any]:
         size = {"viscous_friction.coefficient": {"value": 1000.0 + sin(self.time), "std": 20.0, "unit": "N m s/rad"}}

@@ -27,6 +27,7 @@ from starlette.exceptions import HTTPException
 from topology import LEASE, Topology, topology, vehicle_text
 from watched import PATIENCE, Watched, chromium
 
+from estimators.parting import partings
 from service.dashboard.app import Dashboard, Settings
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
@@ -134,6 +135,25 @@ def test_estimates_on_the_page_equal_those_of_the_recording(
     for name in ("inertia", "gravity_stiffness"):
         shown = float(watched.page.get_attribute(f"[data-parameter={name}]", "data-si") or "nan")
         assert shown == pytest.approx(found["recursive_prediction_error"]["parameters"][name]["value"], rel=1e-9)
+
+
+def test_courses_of_all_live_methods_are_drawn_with_where_they_part(
+    experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched, screenshots: Path
+) -> None:
+    recording, _ = experiment
+    estimates = json.loads(Path(recording.source).with_suffix(".estimates.json").read_text())["methods"]
+    page = watched.page
+    watched.show("identify")
+    figure = page.locator("[data-course=inertia]")
+    expect(figure).to_be_visible()
+    drawn = set((figure.get_attribute("data-methods") or "").split())
+    assert drawn == {method for method, each in estimates.items() if "inertia" in each["parameters"]}
+    assert len(drawn) == 4
+    for method in drawn:
+        expect(figure).to_contain_text(method.replace("_", " "))
+    expect(page.locator("#parting li")).to_have_text([str(each) for each in partings(estimates)])
+    expect(page.locator("#parting")).to_contain_text("as that of independent estimates")
+    watched.picture(screenshots / "identify-methods-light.png")
 
 
 def test_live_view_shows_model_prediction_cycle_rate_and_bus_load(

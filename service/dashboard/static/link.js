@@ -17,6 +17,8 @@ const CHECKS = {
   state: (m) => isText(m.mode) && Array.isArray(m.interlocks) && m.interlocks.every(isText) && Array.isArray(m.faults),
   telemetry: isTelemetry,
   parameters: (m) => Object.values(m).every((entry) => isObject(entry) && "value" in entry),
+  methods: (m) => isObject(m.estimates) && Object.values(m.estimates).every((each) => isObject(each) && Object.values(each).every(isObject)) &&
+    Array.isArray(m.parting) && m.parting.every((each) => isObject(each) && isText(each.text)),
   diagnosis: (m) => isText(m.verdict) && Array.isArray(m.findings) && m.findings.every((each) => isObject(each) && isText(each.effect)),
   commissioning: (m) => Array.isArray(m.steps) && m.steps.length > 0 && m.steps.every(isStep) && (m.next === null || m.steps.some((each) => each.id === m.next)),
   progress: (m) => isNumber(m.fraction) && isText(m.task),
@@ -89,7 +91,7 @@ export class Link {
     });
     socket.on("connect", () => {
       const mine = `${this.config.topic}/`;
-      const names = ["status", "state", "telemetry", "parameters", "diagnosis", "commissioning", "progress", "event", `reply/${this.client}`];
+      const names = ["status", "state", "telemetry", "parameters", "methods", "diagnosis", "commissioning", "progress", "event", `reply/${this.client}`];
       this.fresh();
       socket.subscribe(names.map((name) => mine + name), { qos: 1 }, (error) => this.report(error ? "the broker refuses subscriptions" : ""));
     });

@@ -162,6 +162,7 @@ app.link = new Link(config, {
     each("telemetry", message);
   },
   parameters: (message) => each("parameters", message),
+  methods: (message) => each("methods", message),
   diagnosis: (message) => each("diagnosis", message),
   commissioning: (message) => each("commissioning", message),
   progress: (message) => each("progress", message),
