@@ -20,12 +20,14 @@ from service.commission.guide import Guide
 from service.control.commissioned import Record, RecordError
 from service.control.daemon import Places
 from service.virtual.daemon import daemon_beside
+from service.virtual.run import record
 from simulation.config import SimulationConfig
 from telemetry import storage
 from telemetry.candump import format_frames
 from vehicles import registry
 from vehicles.commissioning import CommissioningError, Entry, State, is_within, steps_of
 from vehicles.file import load
+from vehicles.monocab.identification.static_torque import static_torque
 from vehicles.monocab.identification.trim_effect import trim_effect
 from vehicles.sections import VehicleFile
 
@@ -127,6 +129,20 @@ class TestTrim:
         assert found.std < 0.02
         alone = trim_effect(VEHICLE, [trim])["trim_effect"]
         assert alone.std > 2.0 * found.std, "CAD values of the stiffness are worse than estimated ones"
+
+    @pytest.mark.parametrize(("level", "true"), [(None, 0.0), (1.0, 120.0), (-2.0, -240.0)])
+    def test_the_static_torque_is_measured_within_its_deviation(self, level: float | None, true: float) -> None:
+        hide = ["disturbance=8,0.3", *([f"static_torque={level:g}"] if level else [])]
+        found = static_torque(VEHICLE, [record("monocab", "hold", hide=hide, seed=41)])
+        torque, shift = found["static_torque"], found["trim_shift"]
+        assert torque.value == pytest.approx(true, abs=2.5 * torque.std)
+        assert shift.value == pytest.approx(-1e3 * torque.value / (500.0 * 9.81))
+
+    def test_friction_makes_the_static_torque_less_certain_and_not_unknown(self) -> None:
+        hide = ["disturbance=8,0.3", "coulomb_friction"]
+        torque = static_torque(VEHICLE, [record("monocab", "hold", hide=hide, seed=41)])["static_torque"]
+        assert torque.value == pytest.approx(0.0, abs=2.5 * torque.std)
+        assert 3.0 < torque.std < 60.0
 
     def test_the_course_has_each_channel_in_peoples_units(self, tmp_path: Path) -> None:
         found = course.course(evidence(tmp_path, "disturbance", "hold"))

@@ -349,7 +349,7 @@ def asked(experiment: tuple[Recording, list[tuple[float, float]]], watched: Watc
     page.click("#gap-diagnose")
     watched.show("identify")
     page.select_option("#identify-recording", Path(experiment[0].source).name)
-    page.click("summary")
+    page.click("#view-identify summary")
     for method in METHODS:
         page.check(f"[name=method][value={method}]")
     page.click("#identify-run")

@@ -59,9 +59,10 @@ def _twin() -> Twin:
 
 
 def _evaluations() -> dict[str, Measure]:
+    from vehicles.monocab.identification.static_torque import static_torque
     from vehicles.monocab.identification.trim_effect import trim_effect
 
-    return {"trim_effect": trim_effect}
+    return {"static_torque": static_torque, "trim_effect": trim_effect}
 
 
 KIND = VehicleKind(
