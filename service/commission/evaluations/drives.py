@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from math import degrees
 from typing import Any
@@ -71,7 +72,9 @@ def drives(evidence: Evidence) -> Found:
     moving = recording["phase"] == Phase.MOVE
     angle = recording[registry.nominal_model(evidence.vehicle.vehicle.kind).joints[0].coordinate][moving]
     numbers["moved"] = Number(value=degrees(float(np.ptp(angle))) if len(angle) else None, unit="deg")
-    return Found(numbers)
+    result = evidence.at(f"{evidence.step.id}.json")
+    result.write_text(json.dumps(document, indent=1), "utf-8")
+    return Found(numbers, files=[result], result=result)
 
 
 def silence(evidence: Evidence) -> Found:

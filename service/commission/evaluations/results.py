@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from math import degrees, isfinite, log10, sqrt
+from math import degrees, inf, isfinite, log10, sqrt
 from pathlib import Path
 from typing import Any
 
+from estimators.identify.table import Domain
 from service.commission.evidence import Evidence, Found
-from vehicles.commissioning import Number
+from vehicles.commissioning import CommissioningError, Number
 
 
 def identified(evidence: Evidence) -> Found:
@@ -47,8 +48,12 @@ def identified(evidence: Evidence) -> Found:
 
 
 def designed(evidence: Evidence) -> Found:
-    """The controllers for the newest result, which act from the next experiment on."""
-    document = evidence.upright(["design", str(evidence.result), *_model(evidence), "--use"])
+    """The controllers for the newest result, which act from the next experiment on. Parameters of drives are those of
+    the result that knows them best."""
+    merged = evidence.at(f"{evidence.step.id}_result.json")
+    documents = [json.loads(path.read_text("utf-8")) for path in evidence.results.values()]
+    merged.write_text(json.dumps(with_best_drives(documents), indent=1), "utf-8")
+    document = evidence.upright(["design", str(merged), *_model(evidence), "--use"])
     result = _kept(evidence, document)
     numbers: dict[str, Number] = {}
     for name, each in document["controllers"].items():
@@ -61,7 +66,29 @@ def designed(evidence: Evidence) -> Found:
         }
     close = [f"{each['name']}: {each['broken']}" for each in document["expected"] if each["broken"] and each["largest"]]
     numbers["too_close"] = Number(value=float(len(close)))
-    return Found(numbers, [document["how"], *close], [result], result)
+    return Found(numbers, [document["how"], *close], [merged, result], result)
+
+
+def with_best_drives(documents: list[dict[str, Any]]) -> dict[str, Any]:
+    """The last of several documents of `identify --json`, where each method of drives is that of the document in which
+    its parameters have the smallest deviations. Raises CommissioningError if there is none."""
+    if not documents:
+        raise CommissioningError("no result of an identification.", remedy="Carry out the steps before this one.")
+    last = documents[-1]
+    methods = dict(last["methods"])
+    for document in documents[:-1]:
+        for name, found in document["methods"].items():
+            if found["domain"] == Domain.DRIVES and _spread(found) < _spread(methods.get(name)):
+                methods[name] = found
+    return {**last, "methods": methods}
+
+
+def _spread(found: Mapping[str, Any] | None) -> float:
+    """The relative deviation of a method's first parameter, its lag; infinite if it is not known."""
+    first = next(iter((found or {}).get("parameters", {}).values()), None)
+    if first is None or not first["value"] or first["std"] is None:
+        return inf
+    return abs(float(first["std"]) / float(first["value"]))
 
 
 def compared(evidence: Evidence) -> Found:
