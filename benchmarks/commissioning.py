@@ -50,6 +50,7 @@ SHOWN = {
     "full": ("full_phase_margin", "full_gain_margin"),
     "disturbance": ("largest_roll", "largest_precession", "final_precession"),
     "prediction": ("loop_error", "innovation_ratio"),
+    "response": ("loop_error", "gain_off", "phase_off"),
 }
 
 
@@ -206,7 +207,7 @@ def print_whole(name: str, hide: list[str]) -> None:
         ]
         if shown or each.state is not State.ACCEPTED:
             print(f"  {each.step} ({each.state.value}): {', '.join(shown)} {each.reason}")
-        if each.step in ("effects", "prediction"):
+        if each.step in ("effects", "prediction", "response"):
             for line in each.text:
                 print(f"    {line}")
 

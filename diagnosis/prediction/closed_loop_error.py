@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from diagnosis.lack_of_fit.floor import QUIETEST, Innovations
 from diagnosis.prediction.closed_loop import Controller, Limit, steps
+from diagnosis.prediction.response import Band, responses
 from estimators.data.time_scale import time_scale
 from estimators.data.white_noise import white_variance
 from models.compiler.kernel import Memory
@@ -104,6 +105,20 @@ class ClosedLoop:
             "rmse": {channel: self.rmse(channel) for channel in self.measured},
             "noise_floor": dict(self.floor),
             "over_floor": {channel: self.over_floor(channel) for channel in self.measured},
+            "response": {channel: [each.to_json() for each in bands] for channel, bands in self.response().items()},
+        }
+
+    def response(self) -> dict[str, list[Band]]:
+        """Gain and phase of the recorded over the simulated signal, by channel and octave."""
+        if not len(self.time):
+            return {}
+        rows = [self.part == number for number in np.unique(self.part)]
+        period = float(np.median(np.diff(self.time[rows[0]])))
+        return {
+            channel: responses(
+                [self.measured[channel][each] for each in rows], [simulated[each] for each in rows], period
+            )
+            for channel, simulated in self.simulated.items()
         }
 
 

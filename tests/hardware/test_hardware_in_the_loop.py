@@ -38,7 +38,7 @@ DURATIONS = {
     "side_load": 22.0,
 }
 """s, shorter durations for the experiments that are longer than is needed to show that they run in real time."""
-OF_COMMISSIONING = {"rest", "tilt", "silence", "drives", "trim"}
+OF_COMMISSIONING = {"rest", "tilt", "silence", "drives", "trim", "full_sweep"}
 """test_commission_vcan runs these."""
 
 

@@ -14,6 +14,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 PROGRAMS = sorted(path.name for path in FOLDER.glob("*.py"))
 SHORT = {
     "beside_disturbance.py": ("--effects", "static_torque", "--times", "0", "--duration", "12", "--jobs", "1"),
+    "commissioning.py": ("--defects", "--only", "upside"),
     "designed_multisine.py": ("--runs", "2", "--records", "0", "--processes", "1"),
     "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
     "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),

@@ -38,7 +38,7 @@ def assert_rests_disarmed(closed: ClosedLoop) -> None:
 
 EXPERIMENTS = [name for name, each in load("monocab").experiments.items() if each.gets_up]
 ON_SUPPORT = ("rest", "tilt", "drives", "silence")
-LONG = ("sweep", "output_sweep")
+LONG = ("sweep", "output_sweep", "full_sweep")
 """A minute each. The tests on a bus run them, too, for 20 and 30 s."""
 
 

@@ -93,7 +93,8 @@ def _spread(found: Mapping[str, Any] | None) -> float:
 
 def compared(evidence: Evidence) -> Found:
     """The model against its recordings: the error over that of the noise, one step ahead (`innovation_ratio`) and in
-    the closed loop with its controller (`loop_error`, that of the channel that is predicted worst)."""
+    the closed loop with its controller (`loop_error`, that of the channel that is predicted worst; `gain_off` and
+    `phase_off`, by how much the loop's first channel responds otherwise, in the octave where it differs most)."""
     page = evidence.at(f"{evidence.step.id}.html")
     model = _model(evidence) or (["--model", str(evidence.result)] if evidence.results else [])
     document = evidence.upright(["compare", *_recordings(evidence), *model, "--report", str(page)])
@@ -102,15 +103,33 @@ def compared(evidence: Evidence) -> Found:
     subjects = [each for each in document["models"] if each["name"] == name] or document["models"]
     loops = [each["closed_loop"] for each in subjects if each.get("closed_loop", {}).get("available")]
     errors = [float(value) for each in loops for value in each["over_floor"].values()]
+    bands = [band for each in loops for band in next(iter(each["response"].values()), [])]
     ratios = [float(each["innovation_ratio"]) for each in subjects if each.get("innovation_ratio") is not None]
     numbers = {
         "innovation_ratio": Number(value=max(ratios, default=None)),
         "loop_error": Number(value=max((each for each in errors if isfinite(each)), default=None)),
+        "gain_off": Number(value=max((abs(20.0 * log10(each["gain"])) for each in bands), default=None), unit="dB"),
+        "phase_off": Number(value=max((abs(each["phase_deg"]) for each in bands), default=None), unit="deg"),
         "not_adequate": Number(value=float(sum(not each["adequate"] for each in subjects))),
     }
     text = [line for each in subjects for line in each["summary"]]
+    text += [line for each in loops for line in _responses(each["response"])]
     text += [each["closed_loop"]["reason"] for each in subjects if each.get("closed_loop", {}).get("reason")]
     return Found(numbers, text, [result, page], result)
+
+
+def _responses(response: Mapping[str, Any]) -> list[str]:
+    """Gain and phase of the measured over the simulated closed loop, a line for each channel."""
+    return [
+        f"{channel}, measured over simulated: {'; '.join(map(_octave, bands))}"
+        for channel, bands in response.items()
+        if bands
+    ]
+
+
+def _octave(band: Mapping[str, float]) -> str:
+    gain = 20.0 * log10(band["gain"])
+    return f"{band['from']:.2g} to {band['to']:.2g} Hz {gain:+.2f} dB, {band['phase_deg']:+.1f} deg"
 
 
 def diagnosed(evidence: Evidence) -> Found:
