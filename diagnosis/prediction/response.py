@@ -2,9 +2,9 @@
 
     measured(f) = response simulated(f) + noise(f),   response = sum of measured conj(simulated) / sum of |simulated|^2
 
-over the lines of an octave: 1 where the simulation responds as the vehicle does. Its deviation follows from what is left
-in the octave, so that a disturbance which the simulation does not contain makes it less certain, and not wrong. The
-lines are those of the record's length, without a window: an excitation that begins and ends at rest needs none.
+over the lines of an octave: 1 where the simulation responds as the vehicle does. Its deviation follows from what is
+left in the octave, so that a disturbance which the simulation does not contain makes it less certain, and not wrong.
+The lines are those of the record's length, without a window: an excitation that begins and ends at rest needs none.
 Source: Pintelon and Schoukens, System Identification, 2nd ed., section 2.4 (least squares over neighbouring lines).
 """
 
