@@ -69,6 +69,17 @@ def test_correct_model_follows_the_record_to_the_noise() -> None:
     assert loop.fit_percent("roll") > 97.0
 
 
+def test_correct_model_responds_as_the_vehicle_and_one_without_friction_does_not() -> None:
+    bands = compared()["right"].closed_loop.response()["roll"]
+    assert len(bands) >= 3
+    assert all(abs(each.response - 1.0) < 0.05 for each in bands)
+    without, with_it = (
+        max(abs(each.response - 1.0) for each in compared("viscous_friction")[name].closed_loop.response()["roll"])
+        for name in ("right", "damped")
+    )
+    assert without > 2.0 * with_it
+
+
 def test_missing_friction_raises_the_error_until_it_is_added() -> None:
     without, with_it = (compared("viscous_friction")[name].closed_loop for name in ("right", "damped"))
     for channel in ("roll", "precession_rate"):
@@ -99,6 +110,7 @@ def test_diverging_closed_loop_has_a_reason_instead_of_numbers() -> None:
         "rmse": {},
         "noise_floor": {},
         "over_floor": {},
+        "response": {},
     }
 
 
