@@ -102,7 +102,11 @@ def demo(
         from service.cli.diagnose import diagnose
 
         report = last.with_name("diagnosis.html")
-        diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
+        try:
+            diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
+        except typer.Exit:  # insufficient data, which is said; the page goes on
+            if not dashboard:
+                raise
         page.print(
             "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add the missing"
             f" effect. The whole way to a controller: `upright commission --virtual --vehicle {vehicle}`."
