@@ -37,7 +37,7 @@ def same(one: Recording, other: Recording) -> bool:
 
 def test_recording_covers_the_whole_experiment(first: Recording) -> None:
     assert first.channels == assembly.channels(load("monocab"))
-    assert {Phase(int(phase)) for phase in first["phase"]} >= set(Phase) - {Phase.NONE, Phase.CENTRE}
+    assert {Phase(int(phase)) for phase in first["phase"]} >= set(Phase) - {Phase.NONE, Phase.CENTRE, Phase.MOVE}
     exciting = np.count_nonzero(first["phase"] == Phase.EXCITE)
     assert exciting == pytest.approx(SHORT * first.rate, abs=1)
     assert np.ptp(first["excitation"][first["phase"] == Phase.EXCITE]) > 0.0

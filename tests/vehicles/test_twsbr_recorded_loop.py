@@ -105,6 +105,7 @@ def test_model_that_falls_over_has_a_reason_instead_of_errors() -> None:
         "rmse": {},
         "noise_floor": {},
         "over_floor": {},
+        "response": {},
     }
 
 
