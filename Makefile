@@ -48,11 +48,12 @@ patient-test: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 --timeout 900 -m "patient and not thorough"
 
 thorough-test: $(READY) ## what `make test` leaves out: the same asked of further effects and records, for an hour or two
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m thorough
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m "thorough and not vcan"
+	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
-	$(GUEST) $(BIN)/pytest --durations=20 -m vcan --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
+	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and not thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
 
 benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes
