@@ -290,13 +290,19 @@ def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path) -> Any:
     """A virtual vehicle and its daemon, as a context manager that gives the control socket."""
     from contextlib import contextmanager
 
+    from service.cli.inputs import working
     from service.control.daemon import Places
+    from service.observer.online_estimators import online_estimators
     from service.virtual.daemon import daemon_beside
     from service.virtual.vehicle import requested_disturbance
 
     @contextmanager
     def beside() -> Any:
         data.mkdir(parents=True, exist_ok=True)
+        with working() as step:
+            step("preparing the estimators (on the first start on a computer, their model is compiled)")
+            cad = file.parameters
+            online_estimators(file.vehicle.kind, cad.values, cad.deviations, file.support).join()
         places = Places(BUS, BUS, data, data.absolute() / f"{file.vehicle.id}.sock")
         people.print(f"A virtual {file.vehicle.id} gets ready; recordings are in {data}.")
         with daemon_beside(file, places, hide, seed, disturbance=requested_disturbance(file, hide)):
