@@ -77,7 +77,8 @@ def run(
 
 
 class Runner:
-    """One run; `vehicle` and `statistics` may be read while it goes on."""
+    """One run; `vehicle` and `statistics` may be read while it goes on. `patience`: s of waiting for a SYNC after which
+    a lock-step master counts as gone."""
 
     def __init__(
         self,
@@ -89,9 +90,11 @@ class Runner:
         stop: threading.Event | None = None,
         faults: Sequence[Fault] = (),
         load: Callable[[], Load | Tilt | None] = nothing,
+        patience: float = MASTER_TIMEOUT,
     ) -> None:
         self.vehicle = VirtualVehicle(config, self._send, faults)
         self._load = load
+        self._patience = patience
         self.statistics = RunStatistics()
         self._port = BusPort(bus)
         self._imu_port = BusPort(imu_bus) if imu_bus is not None else self._port
@@ -188,7 +191,7 @@ class Runner:
             if self._stop.is_set():
                 return
             waited = 0.0 if frames else waited + STOP_INTERVAL
-            if waited >= MASTER_TIMEOUT:
+            if waited >= self._patience:
                 self._master_is_cyclic = False
                 self._began = monotonic()
                 return

@@ -26,6 +26,9 @@ from simulation.vehicle import VirtualVehicle
 from vehicles.sections import VehicleFile
 
 BUS = "virtual:upright-virtual"
+PATIENCE = 20.0
+"""s that the vehicle waits for its daemon, which ends together with it: a busy computer may keep it waiting for
+seconds, and in lock-step nothing is lost by that."""
 
 
 class PunctualBus:
@@ -75,7 +78,9 @@ def virtual_vehicle_beside(
     stop = threading.Event()
     with connect(bus, None, None) as own:
         paced: Any = PunctualBus(own) if punctual else own
-        running = runner.Runner(configuration, paced, lock_step=True, stop=stop, faults=faults, load=load)
+        running = runner.Runner(
+            configuration, paced, lock_step=True, stop=stop, faults=faults, load=load, patience=PATIENCE
+        )
         thread = threading.Thread(target=running.run, name="virtual vehicle", daemon=True)
         thread.start()
         try:
