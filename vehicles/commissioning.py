@@ -77,7 +77,7 @@ class Step(Data):
     evaluate: str
     """The evaluation that gives its numbers; see service.commission.evaluations."""
     of: list[Id] = []
-    """Steps whose recordings and results it uses beside its own."""
+    """Steps whose recordings, results and model it uses beside its own. No other step has any influence."""
     acceptance: list[Acceptance] = []
 
 
@@ -123,6 +123,10 @@ class Entry(Data):
     """File of its experiment."""
     files: dict[str, str] = {}
     """What was written: path to SHA-256."""
+    result: str = ""
+    """The one of them, a JSON document, that later steps use."""
+    model: str = ""
+    """The one of them that is a model with the effects that were accepted."""
     vehicle_file: str = ""
     """Hash of the vehicle file it was carried out with."""
     version: str = ""

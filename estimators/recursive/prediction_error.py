@@ -41,10 +41,9 @@ CHUNK = 25
 WINDOW = 1.0
 """Length of a simulation, s, at most."""
 GROWTH = 1.5
-"""Natural logarithm of the growth of an initial error within a simulation, at most. For an axis with a pole at 5 rad/s
-(tests/support/unstable_plant.py without disturbance, six records) the inertia is off by 0.02 % with 1, 0.3 % with 1.5,
-2 % with 2 and 4 % with 3, where the standard deviation is 0.2 to 0.4 %. With 1 the 26 samples of the robot's windows
-do not determine its parameters."""
+"""Natural logarithm of the growth of an initial error within a simulation, at most: a compromise. With more, the
+disturbances that a simulation does not know grow beyond the motion that tells the parameters; with 1, the 26 samples of
+the robot's windows do not determine its parameters."""
 SHORTEST_SPAN = 0.4
 """s of free motion before a result is given."""
 SMALLEST = 0.1

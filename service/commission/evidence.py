@@ -16,7 +16,8 @@ Request = dict[str, Any]
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """Of one step. `recordings`: its own first, then those of the steps in `of`. `results`: the JSON documents that
-    these steps wrote, by their ids. `folder` is where files of the commissioning are.
+    these steps wrote, by their ids, and `model` the model with accepted effects, None if none of them wrote one.
+    `folder` is where files of the commissioning are, and `number` that of the entry to come.
 
     `ask` sends a request to the daemon and returns its result; `upright` runs a command line and returns the document
     that it prints.
@@ -29,6 +30,8 @@ class Evidence:
     folder: Path
     ask: Callable[[Request], dict[str, Any]]
     upright: Callable[[Sequence[str]], dict[str, Any]]
+    model: Path | None = None
+    number: int = 0
 
     @property
     def recording(self) -> Path:
@@ -49,25 +52,21 @@ class Evidence:
             )
         return list(self.results.values())[-1]
 
-    @property
-    def model(self) -> Path:
-        """The model file that effects are added to; it need not exist yet."""
-        return self.folder / "model.toml"
-
-    def at(self, name: str) -> Path:
-        """A file of this step."""
-        return self.folder / name
+    def at(self, ending: str) -> Path:
+        """A file of this step. A repetition writes others, so that what the record says of them stays true."""
+        return self.folder / f"{self.number:02d}_{self.step.id}{ending}"
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The numbers of an evaluation by name, what else it found in words, and the files that it wrote; `result` is the
-    JSON document among them that later steps use."""
+    """The numbers of an evaluation by name, what else it found in words, and the files that it wrote; among them
+    `result` is the JSON document that later steps use, and `model` a model with accepted effects."""
 
     numbers: Mapping[str, Number] = field(default_factory=dict)
     text: Sequence[str] = ()
     files: Sequence[Path] = ()
     result: Path | None = None
+    model: Path | None = None
 
 
 Evaluation = Callable[[Evidence], Found]

@@ -21,6 +21,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from service.command_line import UPRIGHT
 from service.commission.evaluations.table import evaluation
 from service.commission.evidence import Evidence, Found, Request
 from service.commission.report import write_commissioning
@@ -31,7 +32,8 @@ from vehicles.sections import VehicleFile
 
 FOLDER = "commissioning"
 """Of the files of a commissioning, in the data folder."""
-UPRIGHT = (sys.executable, "-c", "from service.cli import main; main()")
+REPORT = "report.html"
+"""There, that of the newest commissioning."""
 READY = 20.0
 """s to wait for the interlocks before an experiment; then the daemon refuses it with them as the reason."""
 ANSWERED = 30.0
@@ -42,11 +44,7 @@ Follow = Callable[[Iterator[dict[str, Any]]], dict[str, Any]]
 
 
 class StepError(UprightError):
-    """A step could not be carried out; `exit_code` as of the experiment that failed."""
-
-    def __init__(self, message: str, *, remedy: str = "", exit_code: int = api.ExitCode.FAILED) -> None:
-        super().__init__(message, remedy=remedy)
-        self.exit_code = exit_code
+    """A step could not be carried out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +65,8 @@ class Guide:
         """The daemon's result. Raises ApiError if there is no daemon, StepError if it refuses."""
         answer = list(api.call(list(self.sockets), request, timeout=ANSWERED))[-1]
         if answer["exit_code"]:
-            raise StepError(answer["text"], exit_code=answer["exit_code"])
+            raise StepError(answer["text"])
         return answer
-
-    def document(self) -> dict[str, Any]:
-        """The steps with their states, as the daemon publishes them."""
-        found: dict[str, Any] = self.ask({"verb": "commissioning"})["commissioning"]
-        return found
 
     def record(self) -> list[Entry]:
         """The entries so far."""
@@ -85,12 +78,15 @@ class Guide:
 
     def save_report(self) -> Path:
         """Write the report where the files of this commissioning are."""
-        path = self._folder() / "report.html"
+        path = self._folder() / REPORT
         path.write_text(self.report(), "utf-8")
         return path
 
     def begin(self) -> None:
-        """Begin a new commissioning; the record of the one before is kept."""
+        """Begin a new commissioning; the record of the one before, its files and its report are kept."""
+        report = self._folder() / REPORT
+        if report.is_file():
+            report.replace(report.with_name(f"{len(self.record()):02d}_{REPORT}"))
         self._keep(Entry())
 
     def skip(self, name: str, reason: str) -> Entry:
@@ -136,7 +132,7 @@ class Guide:
         request = {"verb": "experiment", "name": step.experiment}
         answer = self.follow(api.call(list(self.sockets), request, timeout=None))
         if answer["exit_code"]:
-            raise StepError(answer["text"], exit_code=answer["exit_code"])
+            raise StepError(answer["text"])
         if answer.get("text"):
             raise StepError(f"{step.experiment} ended early: {answer['text']}")
         return Path(answer["recording"])
@@ -151,9 +147,19 @@ class Guide:
         newest = latest(record)
         before = [newest[name] for name in step.of if name in newest]
         recordings = [Path(each.recording) for each in before if each.recording]
-        results = {each.step: Path(path) for each in before for path in each.files if path.endswith(".json")}
-        own = [ran] if ran is not None else []
-        return Evidence(self.vehicle, step, [*own, *recordings], results, self._folder(), self.ask, self._upright)
+        results = {each.step: Path(each.result) for each in before if each.result}
+        models = [Path(each.model) for each in before if each.model]
+        return Evidence(
+            self.vehicle,
+            step,
+            [*([ran] if ran is not None else []), *recordings],
+            results,
+            self._folder(),
+            self.ask,
+            self._upright,
+            model=models[-1] if models else None,
+            number=len(record),
+        )
 
     def _folder(self) -> Path:
         folder = Path(self.ask({"verb": "status"})["status"]["data"]).absolute() / FOLDER
@@ -188,12 +194,14 @@ class Guide:
             numbers=dict(found.numbers),
             text=list(found.text),
             recording=str(ran or ""),
+            result=str(found.result or ""),
+            model=str(found.model or ""),
             files=_hashes([*found.files, *([ran, ran.with_suffix(".log")] if ran is not None else [])]),
         )
 
     def _keep(self, entry: Entry) -> Entry:
         update = {
-            "by": getpass.getuser(),
+            "by": _user(),
             "vehicle_file": self.vehicle.configuration_hash,
             "version": version("upright"),
         }
@@ -206,3 +214,11 @@ class Guide:
 def _hashes(paths: Sequence[Path]) -> dict[str, str]:
     """SHA-256 by path, of those that exist."""
     return {str(path): sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()}
+
+
+def _user() -> str:
+    """Who runs this program; in a container a user may have a number only."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())

@@ -6,14 +6,13 @@ first, so that it survives a restart and nothing of it is lost: going back is an
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from service.control import kept
 from telemetry.errors import UprightError
 from vehicles.sections import VehicleFile
 
@@ -79,10 +78,8 @@ class History:
     def read(cls, folder: Path) -> History:
         """The history in `folder`; the beginning of one if there is none. Raises AdoptedError."""
         path = folder / FILE
-        if not path.exists():
-            return cls()
         try:
-            entries = tuple(Adopted.model_validate(each) for each in json.loads(path.read_text("utf-8")))
+            entries = tuple(Adopted.model_validate(each) for each in kept.read(path))
         except (OSError, ValueError, TypeError, ValidationError) as error:
             raise AdoptedError(
                 f"{path} cannot be read ({error}).",
@@ -93,11 +90,8 @@ class History:
     def write(self, folder: Path) -> None:
         """Replace the file in `folder` at once. Raises AdoptedError if it cannot be written."""
         path = folder / FILE
-        beside = path.with_suffix(".part")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            beside.write_text(json.dumps([each.model_dump() for each in self.entries], indent=1) + "\n", "utf-8")
-            os.replace(beside, path)
+            kept.replace(path, [each.model_dump() for each in self.entries])
         except OSError as error:
             what = f"{path} cannot be written ({error.strerror}): nothing has changed."
             raise AdoptedError(what, remedy="Make room there, or give a writable folder with --data.") from error

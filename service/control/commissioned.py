@@ -6,8 +6,6 @@ screen. Nothing is ever removed from it.
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from service.control import kept
 from telemetry.errors import UprightError
 from vehicles.commissioning import CommissioningError, Entry, Steps, steps_of
 
@@ -40,10 +39,8 @@ class Record:
         except CommissioningError:
             steps = None
         path = folder / FILE
-        if not path.exists():
-            return cls(steps)
         try:
-            entries = tuple(Entry.model_validate(each) for each in json.loads(path.read_text("utf-8")))
+            entries = tuple(Entry.model_validate(each) for each in kept.read(path))
         except (OSError, ValueError, TypeError, ValidationError) as error:
             raise RecordError(
                 f"{path} cannot be read ({error}).", remedy="Move it away: the commissioning then starts from nothing."
@@ -60,13 +57,8 @@ class Record:
     def write(self, folder: Path) -> None:
         """Replace the file in `folder` at once. Raises RecordError if it cannot be written."""
         path = folder / FILE
-        beside = path.with_suffix(".part")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            beside.write_text(
-                json.dumps([each.model_dump(mode="json") for each in self.entries], indent=1) + "\n", "utf-8"
-            )
-            os.replace(beside, path)
+            kept.replace(path, [each.model_dump(mode="json") for each in self.entries])
         except OSError as error:
             raise RecordError(
                 f"{path} cannot be written ({error.strerror}): the step is not in the record.",

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import json
 import os
-import sys
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Literal
 
+from service.command_line import UPRIGHT
 from telemetry.errors import UprightError
 
 MOST_WAITING = 4
@@ -26,7 +26,6 @@ LARGEST = 32 << 20
 """Maximum size of an answer, bytes."""
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
-UPRIGHT = (sys.executable, "-c", "from service.cli import main; main()")
 
 
 class TooManyJobs(UprightError):

@@ -6,7 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
@@ -92,7 +92,8 @@ def daemon_beside(
                 raise failed[0]
             yield daemon
         finally:
-            started[0].call_soon_threadsafe(daemon.stop)
+            with suppress(RuntimeError):  # it ended by itself, and `failed` says why
+                started[0].call_soon_threadsafe(daemon.stop)
             thread.join()
 
 

@@ -201,8 +201,9 @@ class TestGuide:
             assert following.id == "drives"
             assert guide.carry_out("drives").state is State.ACCEPTED
             guide.skip("flywheels", "their tachometers were read in the morning")
-            document = guide.document()
-            assert document["next"] == "step"
+            following = guide.steps.next(guide.record())
+            assert following is not None
+            assert following.id == "step"
             report = guide.save_report().read_text()
         assert "their tachometers were read in the morning" in report
         assert entry.files[recording] in report
@@ -232,6 +233,40 @@ class TestGuide:
                 guide.skip("bus", " ")
             with pytest.raises(CommissioningError, match="no step 'salto'"):
                 guide.skip("salto", "because")
+
+
+class TestModel:
+    """A model with accepted effects belongs to its commissioning, and to the steps that name the one that wrote it."""
+
+    def test_only_steps_that_name_it_use_it(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        guide = Guide(VEHICLE, [], unused)
+        monkeypatch.setattr(Guide, "_folder", lambda self: tmp_path)
+        model = tmp_path / "13_effects.toml"
+        record = [Entry(), Entry(step="effects", state=State.ACCEPTED, model=str(model))]
+        assert guide._evidence(STEPS.find("identify"), record, None).model == model
+        assert guide._evidence(STEPS.find("step"), record, None).model is None
+        assert guide._evidence(STEPS.find("identify"), [*record, Entry()], None).model is None
+
+    def test_a_repeated_step_does_not_overwrite_what_the_record_names(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        guide = Guide(VEHICLE, [], unused)
+        monkeypatch.setattr(Guide, "_folder", lambda self: tmp_path)
+        step = STEPS.find("sweep")
+        first, second = (guide._evidence(step, [Entry()] * count, None).at(".json") for count in (3, 4))
+        assert (first.name, second.name) == ("03_sweep.json", "04_sweep.json")
+
+    def test_a_new_commissioning_keeps_the_report_of_the_last(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        kept: list[Entry] = []
+        monkeypatch.setattr(Guide, "_folder", lambda self: tmp_path)
+        monkeypatch.setattr(Guide, "record", lambda self: [Entry()] * 19)
+        monkeypatch.setattr(Guide, "_keep", lambda self, entry: kept.append(entry))
+        (tmp_path / "report.html").write_text("signed")
+        Guide(VEHICLE, [], unused).begin()
+        assert (tmp_path / "19_report.html").read_text() == "signed"
+        assert kept == [Entry()]
 
 
 class TestRecord:

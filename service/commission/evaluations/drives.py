@@ -72,7 +72,7 @@ def drives(evidence: Evidence) -> Found:
     moving = recording["phase"] == Phase.MOVE
     angle = recording[registry.nominal_model(evidence.vehicle.vehicle.kind).joints[0].coordinate][moving]
     numbers["moved"] = Number(value=degrees(float(np.ptp(angle))) if len(angle) else None, unit="deg")
-    result = evidence.at(f"{evidence.step.id}.json")
+    result = evidence.at(".json")
     result.write_text(json.dumps(document, indent=1), "utf-8")
     return Found(numbers, files=[result], result=result)
 

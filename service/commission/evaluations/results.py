@@ -19,7 +19,7 @@ from vehicles.commissioning import CommissioningError, Number
 def identified(evidence: Evidence) -> Found:
     """Every method side by side on the recordings; the numbers are those of the recommended one, each parameter with
     its deviation from the vehicle file in standard deviations of the difference (`NAME_off`)."""
-    page, picture = evidence.at(f"{evidence.step.id}.html"), evidence.at(f"{evidence.step.id}.png")
+    page, picture = evidence.at(".html"), evidence.at(".png")
     document = evidence.upright(
         [
             "identify",
@@ -50,7 +50,7 @@ def identified(evidence: Evidence) -> Found:
 def designed(evidence: Evidence) -> Found:
     """The controllers for the newest result, which act from the next experiment on. Parameters of drives are those of
     the result that knows them best."""
-    merged = evidence.at(f"{evidence.step.id}_result.json")
+    merged = evidence.at("_result.json")
     documents = [json.loads(path.read_text("utf-8")) for path in evidence.results.values()]
     merged.write_text(json.dumps(with_best_drives(documents), indent=1), "utf-8")
     document = evidence.upright(["design", str(merged), *_model(evidence), "--use"])
@@ -95,11 +95,11 @@ def compared(evidence: Evidence) -> Found:
     """The model against its recordings: the error over that of the noise, one step ahead (`innovation_ratio`) and in
     the closed loop with its controller (`loop_error`, that of the channel that is predicted worst; `gain_off` and
     `phase_off`, by how much the loop's first channel responds otherwise, in the octave where it differs most)."""
-    page = evidence.at(f"{evidence.step.id}.html")
+    page = evidence.at(".html")
     model = _model(evidence) or (["--model", str(evidence.result)] if evidence.results else [])
     document = evidence.upright(["compare", *_recordings(evidence), *model, "--report", str(page)])
     result = _kept(evidence, document)
-    name = evidence.model.stem if evidence.model.is_file() else _best(evidence)
+    name = evidence.model.stem if evidence.model is not None else _best(evidence)
     subjects = [each for each in document["models"] if each["name"] == name] or document["models"]
     loops = [each["closed_loop"] for each in subjects if each.get("closed_loop", {}).get("available")]
     errors = [float(value) for each in loops for value in each["over_floor"].values()]
@@ -134,7 +134,7 @@ def _octave(band: Mapping[str, float]) -> str:
 
 def diagnosed(evidence: Evidence) -> Found:
     """Which physical effects the model lacks; nothing is added."""
-    page = evidence.at(f"{evidence.step.id}.html")
+    page = evidence.at(".html")
     document = evidence.upright(
         ["diagnose", *_recordings(evidence), *_begin(evidence), *_model(evidence), "--report", str(page)]
     )
@@ -143,18 +143,16 @@ def diagnosed(evidence: Evidence) -> Found:
 
 def effects(evidence: Evidence) -> Found:
     """Adds the effects that the recordings show, one after the other, to the model of this commissioning."""
-    page, model = evidence.at(f"{evidence.step.id}.html"), evidence.at("revised.toml")
+    page, model = evidence.at(".html"), evidence.at(".toml")
     document = evidence.upright(
         ["diagnose", *_recordings(evidence), *_begin(evidence), "--auto", str(model), "--report", str(page)]
     )
-    written = [page]
-    if model.is_file():
-        model.replace(evidence.model)
-        written.append(evidence.model)
-    return _diagnosis(evidence, document, written)
+    return _diagnosis(evidence, document, [page], model if model.is_file() else None)
 
 
-def _diagnosis(evidence: Evidence, document: Mapping[str, Any], written: list[Path]) -> Found:
+def _diagnosis(
+    evidence: Evidence, document: Mapping[str, Any], written: list[Path], model: Path | None = None
+) -> Found:
     result = _kept(evidence, document)
     names = [str(each["effect"]) for each in document["findings"]]
     numbers = {
@@ -165,9 +163,9 @@ def _diagnosis(evidence: Evidence, document: Mapping[str, Any], written: list[Pa
         "unexplained": Number(value=float(document["verdict"] in ("unknown", "insufficient_data"))),
     }
     text = [str(each["explanation"]) for each in document["findings"]]
-    return Found(
-        numbers, text or [document["reason"] or document["verdict"].replace("_", " ")], [result, *written], result
-    )
+    verdict = document["reason"] or str(document["verdict"]).replace("_", " ")
+    files = [result, *written, *([model] if model is not None else [])]
+    return Found(numbers, text or [verdict], files, result if model is None else None, model)
 
 
 def _recordings(evidence: Evidence) -> list[str]:
@@ -175,7 +173,7 @@ def _recordings(evidence: Evidence) -> list[str]:
 
 
 def _model(evidence: Evidence) -> list[str]:
-    return ["--model", str(evidence.model)] if evidence.model.is_file() else []
+    return ["--model", str(evidence.model)] if evidence.model is not None else []
 
 
 def _begin(evidence: Evidence) -> list[str]:
@@ -194,6 +192,6 @@ def _best(evidence: Evidence) -> str | None:
 
 
 def _kept(evidence: Evidence, document: Mapping[str, Any]) -> Path:
-    path = evidence.at(f"{evidence.step.id}.json")
+    path = evidence.at(".json")
     path.write_text(json.dumps(document, indent=1), "utf-8")
     return path

@@ -1,0 +1,22 @@
+"""Lists of documents that the daemon keeps in its data folder, each in one JSON file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+
+def read(path: Path) -> list[Any]:
+    """The documents in the file, none if it does not exist. Raises OSError, ValueError."""
+    return list(json.loads(path.read_text("utf-8"))) if path.exists() else []
+
+
+def replace(path: Path, documents: Sequence[Any]) -> None:
+    """Replace the file at once, so that there is never half of it. Raises OSError."""
+    beside = path.with_suffix(".part")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside.write_text(json.dumps(list(documents), indent=1) + "\n", "utf-8")
+    os.replace(beside, path)
