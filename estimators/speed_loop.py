@@ -19,6 +19,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.data.segments import LONGEST_GAP
 from telemetry.recording import Recording
 
 RUN_IN = 1.0
@@ -87,7 +88,8 @@ class Window:
 
 
 def windows_of(recording: Recording, channels: Sequence[str], moves: float, first: int = 0) -> list[Window]:
-    """The samples that follow a change of the setpoint by more than `moves`, after a gapless RUN_IN.
+    """The samples that follow a change of the setpoint by more than `moves`, after a RUN_IN without a gap. Samples that
+    are late are no gap: a setpoint acts from when it was sent.
 
     `channels`: setpoint, rate, age of the rate (s) and, if the axis has a load, the roll rate. `first` is the index of
     the recording's first sample. A setpoint was sent `setpoint_age` before its sample or, without that channel, at it.
@@ -96,7 +98,7 @@ def windows_of(recording: Recording, channels: Sequence[str], moves: float, firs
     sent = time - recording["setpoint_age"] if "setpoint_age" in recording.values else time
     known: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack([*columns, sent])), axis=1)
     period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    broken = np.flatnonzero((np.diff(time) > 1.5 * period) | ~known[1:]) + 1
+    broken = np.flatnonzero((np.diff(time) > LONGEST_GAP * period) | ~known[1:]) + 1
     begins = np.zeros(len(time), dtype=np.int64)
     begins[broken] = broken
     begins = np.maximum.accumulate(begins)

@@ -58,7 +58,11 @@ class LqiGains:
 
 @dataclass(frozen=True, slots=True)
 class StateSpace:
-    """x' = A x + B u, y = C x, with the names of states, inputs and outputs; nothing measures the `computed` states."""
+    """x' = A x + B u, y = C x, with the names of states, inputs and outputs; nothing measures the `computed` states.
+
+    `measured` (k, n): what a controller sees of the k `states`, if there are further states or errors of sensors (as
+    by models.linear_effects); None if it sees x itself.
+    """
 
     A: Matrix
     B: Matrix
@@ -67,6 +71,7 @@ class StateSpace:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     computed: tuple[str, ...] = ()
+    measured: Matrix | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,12 +182,13 @@ def open_loop(model: StateSpace, gains: LqiGains, delay_periods: int) -> tuple[M
         F[n : n + (d - 1) * m, n + m : last] = np.eye((d - 1) * m)
         G[last - m : last] = np.eye(m)
     G[last:integral] = np.eye(m)
-    K = np.zeros((m, size))
-    K[:, :n], K[:, last:integral], K[:, integral:own] = gains.states, gains.previous, gains.integral
+    K, of_states = np.zeros((m, size)), np.array(gains.states)
+    K[:, last:integral], K[:, integral:own] = gains.previous, gains.integral
     if computed:
         F[own:, own:], F[own:, last:integral] = computed.transition, computed.inputs
         for place in computed.used:
-            K[:, own + computed.places.index(place)], K[:, place] = K[:, place], 0.0
+            K[:, own + computed.places.index(place)], of_states[:, place] = of_states[:, place], 0.0
+    K[:, :n] = of_states if model.measured is None else of_states @ model.measured
     return F, G, K
 
 

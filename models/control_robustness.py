@@ -2,7 +2,8 @@
 
 The loop is broken at one input of the plant, with the others closed: gain margins, phase and delay margin. The poles of
 the closed loop are computed wherever the uncertain parameters may be, each time also with one more period of delay:
-at every corner of a spread about CAD values, or over the joint distribution of estimates.
+at every corner of a spread about CAD values, or over the joint distribution of estimates. Confirmed effects of the
+vehicle (models.linear_effects), which the design leaves out, are in everything that is checked.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from models.control_design import (
     design_lqi,
     open_loop,
 )
+from models.parts import Parameter
 
 REGION = 0.95
 """Probability of the region of the estimates whose corners are checked."""
@@ -38,12 +40,33 @@ ModelAt = Callable[[Mapping[str, float]], StateSpace]
 """Gives the model with its uncertain parameters at the given factors of their nominal values, by name."""
 
 
+class Effects(Protocol):
+    """Effects of the real vehicle, as models.linear_effects has them."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def left_out(self) -> tuple[str, ...]: ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...
+
+    def on(self, plant: StateSpace, factors: Mapping[str, float]) -> StateSpace:
+        """`plant` with the effects; parameters of vehicle and effects are at `factors` of their values."""
+        ...
+
+
 class Uncertainty(Protocol):
     """Where the parameters of a model may be."""
 
     @property
     def words(self) -> str:
         """As in "unstable within ..."."""
+        ...
+
+    def plant(self, model_at: ModelAt, factors: Mapping[str, float]) -> StateSpace:
+        """The vehicle at a point, with what the design leaves out."""
         ...
 
     def points(self) -> Iterator[Factors]:
@@ -62,6 +85,10 @@ class Spread:
     def words(self) -> str:
         return f"{100.0 * self.share:g} % of the CAD values"
 
+    def plant(self, model_at: ModelAt, factors: Mapping[str, float]) -> StateSpace:
+        """Nothing is left out."""
+        return model_at(factors)
+
     def points(self) -> Iterator[Factors]:
         """Every corner."""
         for chosen in itertools.product((1.0 - self.share, 1.0 + self.share), repeat=len(self.names)):
@@ -70,51 +97,83 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """`names` were estimated as `values` (k,), with the joint `covariance` (k, k)."""
+    """`names` were estimated as `values` (k,), with the joint `covariance` (k, k): parameters of the design, and after
+    them those of confirmed `effects`."""
 
     names: tuple[str, ...]
     values: NDArray[np.float64]
     covariance: Matrix
     draws: int = 1000
+    effects: Effects | None = None
 
     @property
     def words(self) -> str:
-        return f"the estimates' {100.0 * REGION:g} % region and {self.draws} draws"
+        words = f"the estimates' {100.0 * REGION:g} % region and {self.draws} draws"
+        if self.effects and self.effects.names:
+            words += f", with {', '.join(self.effects.names)}"
+        if self.effects and self.effects.left_out:
+            words += f", without {', '.join(self.effects.left_out)} (no linear model)"
+        return words
+
+    def plant(self, model_at: ModelAt, factors: Mapping[str, float]) -> StateSpace:
+        """With the effects."""
+        theirs = {each.name for each in self.effects.parameters} if self.effects else set()
+        plant = model_at({name: factor for name, factor in factors.items() if name not in theirs})
+        return self.effects.on(plant, factors) if self.effects else plant
 
     def points(self) -> Iterator[Factors]:
-        """The ends of the principal axes of the region, the corners between them on its surface, and random draws."""
+        """The ends of the principal axes of the region, the corners between them on its surface, and random draws.
+        Parameters of effects stay within their bounds."""
         size = len(self.names)
         squares, axes = np.linalg.eigh(self.covariance)
         axes = axes * np.sqrt(np.maximum(squares, 0.0))
         radius = float(np.sqrt(chi2.ppf(REGION, size)))
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=size))) / np.sqrt(size)
         random = np.random.default_rng(1).standard_normal((self.draws, size))
+        least, most = self._bounds()
         for direction in np.concatenate((radius * np.eye(size), -radius * np.eye(size), radius * corners, random)):
-            factors = 1.0 + (axes @ direction) / self.values
-            if np.min(factors) <= 0.0:
-                name = self.names[int(np.argmin(factors))]
+            factors = np.clip(self.values + axes @ direction, least, most) / self.values
+            if np.min(factors[: self._designed]) <= 0.0:
+                name = self.names[int(np.argmin(factors[: self._designed]))]
                 raise ControlDesignError(
                     f"the estimate of {name} is too uncertain for a controller: it may have the other sign.",
                     remedy="record a longer or stronger excitation, and identify again.",
                 )
             yield tuple(zip(self.names, factors.tolist(), strict=True))
 
+    @property
+    def _designed(self) -> int:
+        """How many parameters are those of the design."""
+        return len(self.names) - (len(self.effects.parameters) if self.effects else 0)
+
+    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The smallest and the largest values that are tried."""
+        least, most = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
+        if self.effects:
+            least[self._designed :] = [each.lower for each in self.effects.parameters]
+            most[self._designed :] = [each.upper for each in self.effects.parameters]
+        return least, most
+
 
 @dataclass(frozen=True, slots=True)
 class Known:
     """What is known of a vehicle's parameters: `values` by name, SI, their standard `deviations`, and the `correlation`
-    of their errors by pair of names; pairs that are not in it are independent."""
+    of their errors by pair of names; pairs that are not in it are independent. `effects`: its confirmed effects."""
 
     values: Mapping[str, float]
     deviations: Mapping[str, float]
     correlation: Mapping[tuple[str, str], float]
+    effects: Effects | None = None
 
     def about(self, names: tuple[str, ...]) -> Estimated:
-        """What is known of `names`."""
-        deviations = np.array([self.deviations[name] for name in names])
+        """What is known of `names`, and of the parameters of the effects."""
+        of_effects = self.effects.parameters if self.effects else ()
+        values = [*(self.values[name] for name in names), *(each.value for each in of_effects)]
+        deviations = [*(self.deviations[name] for name in names), *(each.std for each in of_effects)]
+        names += tuple(each.name for each in of_effects)
         pairs = [[1.0 if a == b else self._correlation(a, b) for b in names] for a in names]
-        values = np.array([self.values[name] for name in names])
-        return Estimated(names, values, np.array(pairs) * np.outer(deviations, deviations))
+        covariance = np.array(pairs) * np.outer(deviations, deviations)
+        return Estimated(names, np.array(values), covariance, effects=self.effects)
 
     def _correlation(self, one: str, other: str) -> float:
         return self.correlation.get((one, other), self.correlation.get((other, one), 0.0))
@@ -178,6 +237,7 @@ class CheckedDesign:
             "gain_margin": [max(one.gain_decrease for one in each), min(one.gain_increase for one in each)],
             "phase_margin": min(one.phase for one in each),
             "delay_margin": min(one.delay for one in each),
+            "within": self.within,
             "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
         }
 
@@ -231,7 +291,7 @@ def _margins(loop: NDArray[np.complex128], omega: Matrix) -> Margins:
 def corners(model_at: ModelAt, uncertain: Uncertainty, gains: LqiGains) -> Iterator[Corner]:
     """The closed loop at each point of `uncertain`, with one and with two periods of delay."""
     for factors in uncertain.points():
-        model = model_at(dict(factors))
+        model = uncertain.plant(model_at, dict(factors))
         for delay_periods in (1, 2):
             poles = continuous_poles(closed_loop(model, gains, delay_periods), gains.period)
             damping, slowest = _damping(poles)
@@ -239,20 +299,20 @@ def corners(model_at: ModelAt, uncertain: Uncertainty, gains: LqiGains) -> Itera
 
 
 def checked_design(model_at: ModelAt, uncertain: Uncertainty, weights: LqiWeights, period: float) -> CheckedDesign:
-    """The LQI of the nominal model, checked over the uncertainty of its parameters.
+    """The LQI of the nominal model, checked over the uncertainty of its parameters, with what the design leaves out.
 
     Raises ControlDesignError if no controller is found or if it is unstable at a point; the message names the point.
     """
-    model = model_at({})
-    gains = design_lqi(model, weights, period)
+    gains = design_lqi(model_at({}), weights, period)
     worst = min(corners(model_at, uncertain, gains), key=lambda corner: (corner.slowest > 0.0, corner.damping))
     if worst.slowest <= 0.0:
         raise ControlDesignError(
             f"the closed loop is unstable within {uncertain.words} ({worst}).",
             remedy="raise effort_weight (less bandwidth) or the control rate, or narrow the uncertainty of the values.",
         )
-    poles = continuous_poles(closed_loop(model, gains), period)
-    return CheckedDesign(gains, tuple(complex(pole) for pole in poles), margins(model, gains), worst, uncertain.words)
+    plant = uncertain.plant(model_at, {})
+    poles = continuous_poles(closed_loop(plant, gains), period)
+    return CheckedDesign(gains, tuple(complex(pole) for pole in poles), margins(plant, gains), worst, uncertain.words)
 
 
 def _damping(poles: list[complex]) -> tuple[float, float]:

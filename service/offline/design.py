@@ -1,8 +1,9 @@
 """Design of the vehicle's controllers for a result of the identification, and what to expect of them.
 
 Each controller is checked wherever the parameters may be: in the corners of the 95 % region of their joint estimate,
-and at 1,000 draws from it (models.control_robustness). Then the experiments are predicted with the model that the
-result belongs to, with the effects that were added to it, and with the controllers as designed.
+and at 1,000 draws from it (models.control_robustness), each time with the effects that were added to the model that
+the result belongs to (models.linear_effects). Then the experiments are predicted with that model, and with the
+controllers as designed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from diagnosis.prediction.closed_loop import Course, Experiment, causal, simulate
 from models.control_robustness import CheckedDesign, Known
 from models.file.model_file import load_model
+from models.linear_effects import LinearEffects
 from models.model import Model
 from models.parts import Parameter
 from service.offline.models import identified_model
@@ -138,7 +140,11 @@ def read_result(path: Path, vehicle: VehicleFile, method: str | None = None, mod
         raise ResultError(f"{path} estimates no parameter of the vehicle.", remedy=remedy)
     values, deviations = ({name: float(entries[name][key]) for name in names} for key in ("value", "std"))
     known = identified_model(model, vehicle)
-    known = known.change({name: float(each["value"]) for name, each in entries.items() if name in known.values})
+    theirs = {name: each for name, each in entries.items() if name in known.values}
+    known = known.change(
+        {name: float(each["value"]) for name, each in theirs.items()},
+        deviations={name: float(each["std"]) for name, each in theirs.items() if each["std"] is not None},
+    )
     return Result(path.name, digest, values, deviations, correlation, known, METHODS.format(best))
 
 
@@ -167,7 +173,8 @@ def designed(vehicle: VehicleFile, result: Result) -> Designed:
     """
     theirs = vehicle.with_values(result.values, result.deviations)
     parameters = theirs.parameters
-    known = Known(parameters.values, parameters.deviations, result.correlation)
+    effects = LinearEffects(result.model) if result.model.effects else None
+    known = Known(parameters.values, parameters.deviations, result.correlation, effects)
     kind = registry.of(vehicle.vehicle.kind)
     designs = kind.designs(theirs, known)
     if not designs:

@@ -1,0 +1,148 @@
+"""The effects of a model in the linear model of a controller's design, against the equations and against simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from diagnosis.prediction.closed_loop import simulate
+from models.control_design import ControlDesignError, closed_loop, continuous_poles
+from models.control_robustness import Known
+from models.linear_effects import LinearEffects
+from models.model import Model
+from vehicles import registry
+from vehicles.file import load
+from vehicles.monocab.control.controller import design
+from vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
+from vehicles.monocab.file import MonocabFile
+from vehicles.monocab.model import MONOCAB_ROLL
+
+SHIPPED = load("monocab")
+assert isinstance(SHIPPED, MonocabFile)
+VEHICLE: MonocabFile = SHIPPED
+PARAMETERS = MonocabParameters.from_values(VEHICLE.parameters.values)
+PLANT = reduced_model(PARAMETERS)
+
+
+def with_effect(name: str, **values: float) -> Model:
+    return MONOCAB_ROLL.add(name).change({f"{name}.{key}": value for key, value in values.items()})
+
+
+def known(effects: LinearEffects, share: float = 0.02) -> Known:
+    values = VEHICLE.parameters.values
+    return Known(values, {name: share * abs(value) for name, value in values.items()}, {}, effects)
+
+
+def test_viscous_friction_is_a_damping_of_roll() -> None:
+    plant = LinearEffects(with_effect("viscous_friction", coefficient=400.0)).on(PLANT, {})
+    expected = PLANT.A.copy()
+    expected[1, 1] = -400.0 / PARAMETERS.inertia
+    np.testing.assert_allclose(plant.A, expected, atol=1e-9)
+    np.testing.assert_array_equal(plant.B, PLANT.B)
+
+
+def test_parameters_of_vehicle_and_effect_are_scaled_together() -> None:
+    effects = LinearEffects(with_effect("viscous_friction", coefficient=400.0))
+    plant = effects.on(PLANT, {"viscous_friction.coefficient": 1.5, "inertia": 2.0})
+    assert plant.A[1, 1] == pytest.approx(-300.0 / PARAMETERS.inertia)
+
+
+def test_coulomb_friction_is_a_damping_for_motions_of_typical_size() -> None:
+    plant = LinearEffects(with_effect("coulomb_friction", torque=60.0)).on(PLANT, {})
+    typical = MONOCAB_ROLL.joints[0].rate_scale
+    assert plant.A[1, 1] == pytest.approx(-60.0 / typical / PARAMETERS.inertia, rel=1e-3)
+
+
+def test_deadband_reduces_the_gain_of_the_gimbals() -> None:
+    plant = LinearEffects(with_effect("input_deadband", width=0.01)).on(PLANT, {})
+    typical = MONOCAB_ROLL.actuators[0].command_scale
+    assert plant.A[1, 2] == pytest.approx(PLANT.A[1, 2] * (1.0 - 0.01 / typical), rel=0.02)
+
+
+def test_a_lag_is_a_state_between_the_gimbals_and_their_torque() -> None:
+    plant = LinearEffects(with_effect("actuator_lag", lag=0.02)).on(PLANT, {})
+    np.testing.assert_allclose(plant.A[1], [PLANT.A[1, 0], 0.0, 0.0, PLANT.A[1, 2]])
+    np.testing.assert_allclose(plant.A[3], [0.0, 0.0, 50.0, -50.0])
+
+
+def test_a_delay_turns_the_phase_of_the_gimbals_and_nothing_else() -> None:
+    plant = LinearEffects(with_effect("input_delay", delay=0.012)).on(PLANT, {})
+    omega = 20.0
+
+    def response(model: object) -> np.complex128:
+        A, B = model.A, model.B  # type: ignore[attr-defined]
+        found: np.complex128 = np.linalg.solve(1j * omega * np.eye(len(A)) - A, B)[0, 0]
+        return found
+
+    assert response(plant) / response(PLANT) == pytest.approx(np.exp(-0.012j * omega), abs=1e-4)
+
+
+def test_a_lag_of_the_imu_is_in_what_the_controller_sees() -> None:
+    plant = LinearEffects(with_effect("sensor_lag", lag=0.01)).on(PLANT, {})
+    assert plant.measured is not None
+    seen = plant.measured @ np.linalg.solve(20.0j * np.eye(len(plant.A)) - plant.A, plant.B)
+    true = np.linalg.solve(20.0j * np.eye(3) - PLANT.A, PLANT.B)
+    np.testing.assert_allclose(seen[:2] / true[:2], 1.0 / (1.0 + 0.2j), rtol=2e-3)
+    assert seen[2] == pytest.approx(true[2])
+
+
+def test_a_memory_that_is_not_linear_is_left_out_and_named() -> None:
+    model = with_effect("hysteresis", torque=60.0).add("viscous_friction")
+    effects = LinearEffects(model.change({"viscous_friction.coefficient": 400.0}))
+    assert (effects.names, effects.left_out) == (("viscous_friction",), ("hysteresis",))
+    found = design(VEHICLE, known=known(effects))
+    assert found.within.endswith("with viscous_friction, without hysteresis (no linear model)")
+
+
+def test_a_constant_torque_is_no_part_of_a_linear_model() -> None:
+    effects = LinearEffects(with_effect("static_torque", torque=30.0))
+    assert (effects.names, effects.parameters, effects.left_out) == ((), (), ())
+
+
+def test_the_full_model_takes_them_too() -> None:
+    plant = full_model(PARAMETERS)
+    changed = LinearEffects(with_effect("viscous_friction", coefficient=400.0)).on(plant, {})
+    assert changed.A[1, 1] == pytest.approx(-400.0 / PARAMETERS.inertia)
+    assert np.count_nonzero(~np.isclose(changed.A, plant.A)) == 1
+
+
+def test_margins_and_worst_corner_are_those_with_the_effects() -> None:
+    without = design(VEHICLE, known=known(LinearEffects(MONOCAB_ROLL)))
+    found = design(VEHICLE, known=known(LinearEffects(with_effect("input_delay", delay=0.02))))
+    np.testing.assert_array_equal(found.gains.matrix, without.gains.matrix)
+    assert found.margins["precession_rate_setpoint"].phase < 0.8 * without.margins["precession_rate_setpoint"].phase
+    assert "input_delay.delay" in dict(found.worst.factors)
+
+
+def test_uncertain_effect_is_tried_within_its_bounds() -> None:
+    model = with_effect("viscous_friction", coefficient=400.0)
+    model = model.change(deviations={"viscous_friction.coefficient": 400.0})
+    points = list(known(LinearEffects(model)).about(("inertia",)).points())
+    factors = np.array([dict(each)["viscous_friction.coefficient"] for each in points])
+    assert factors.min() == 0.0
+    assert factors.max() > 2.0
+
+
+@pytest.mark.parametrize(("share", "stable"), [(0.8, True), (1.2, False)])
+def test_where_the_loop_becomes_unstable_the_simulated_vehicle_keeps_oscillating(share: float, stable: bool) -> None:
+    """The delay is that at which the linear loop is at its limit; the limits of the setpoint bound the oscillation."""
+    gains = design(VEHICLE).gains
+
+    def slowest(delay: float) -> float:
+        plant = LinearEffects(with_effect("input_delay", delay=delay)).on(PLANT, {})
+        return continuous_poles(closed_loop(plant, gains), gains.period)[0].real
+
+    limit = brentq(slowest, 0.02, 0.2)
+    experiment = registry.of("monocab").prediction().of(VEHICLE)("doublet")
+    course = simulate(with_effect("input_delay", delay=share * limit), replace(experiment, limits=()))
+    roll = np.abs(course.rows.measured[:, 0])
+    left = roll[-200:].max() / roll.max()
+    assert (left < 0.1) if stable else (left > 0.3)
+
+
+def test_a_loop_that_the_effect_makes_unstable_is_refused_with_the_corner() -> None:
+    with pytest.raises(ControlDesignError, match=r"with input_delay .*input_delay\.delay x"):
+        design(VEHICLE, known=known(LinearEffects(with_effect("input_delay", delay=0.1))))
