@@ -21,7 +21,7 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from models.compiler.equations import compose
+from models.compiler.equations import Equations, compose
 from models.control_design import Matrix, StateSpace
 from models.model import Model
 from models.parts import Parameter
@@ -30,9 +30,6 @@ from models.sensing import delayed
 Array = NDArray[np.float64]
 Row = Mapping[str, float]
 """Slopes by the name of a state, of an input, or of the slope of an input."""
-
-ANOTHER = 1.1
-"""Factor on a parameter, to see whether anything depends on it."""
 
 
 class LinearEffects:
@@ -48,13 +45,8 @@ class LinearEffects:
         model = replace(model, effects=tuple(each for each in model.effects if each.name not in self.left_out))
         self._model = model
         self._with, self._without = _Secants.of(model), _Secants.of(replace(model, effects=()))
-        nominal = self._at(model.values)
-        of_effects = [(each.name, parameter) for each in model.effects for parameter in each.parameters]
-        depends = [
-            (effect, parameter)
-            for effect, parameter in of_effects
-            if self._at({**model.values, parameter.name: ANOTHER * parameter.value}) != nominal
-        ]
+        needed = _linear_parameters(model)
+        depends = [(each.name, p) for each in model.effects for p in each.parameters if p.name in needed and p.value]
         self.parameters: tuple[Parameter, ...] = tuple(parameter for _, parameter in depends)
         self.names = tuple(dict.fromkeys(effect for effect, _ in depends))
 
@@ -87,10 +79,6 @@ class LinearEffects:
                 A, B = _shifted(A, B, rows, _as_states(variable, states, plant), shift)
         seen = np.pad(seen, ((0, 0), (0, len(A) - len(states))))
         return replace(plant, A=A, B=B, C=plant.C @ seen, measured=seen)
-
-    def _at(self, values: Mapping[str, float]) -> tuple[dict[str, Row], list[tuple[str, float, float]]]:
-        """Everything of the linear model that may depend on the effects' parameters."""
-        return self._with.at(values), list(self._shifts(values))
 
     def _shifts(self, values: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
         """(input, delay, lag) in s, by the effects alone."""
@@ -149,17 +137,30 @@ class _Secants:
 
 
 def _without_linear_model(model: Model) -> tuple[str, ...]:
-    """The effects that have a state whose derivative is not linear in the states and inputs. Inputs that have a usual
-    value are settings rather than motions."""
+    """The effects that have a state whose derivative is not linear in the motion."""
     equations = compose(model)
-    settings = {s: each.usual for s, each in zip(equations.inputs, model.inputs, strict=True) if each.usual is not None}
-    moving = {*equations.states, *equations.inputs, *equations.slopes} - settings.keys()
+    settings, moving = _settings(model, equations)
     curved = {
         str(state)
         for state, derivative in zip(equations.states, equations.derivatives, strict=True)
         if any(derivative.subs(settings).diff(each).free_symbols & moving for each in moving)
     }
     return tuple(each.name for each in model.effects if curved & {state.name for state in each.states})
+
+
+def _linear_parameters(model: Model) -> frozenset[str]:
+    """The parameters on which the response to motion depends: not those of a constant torque or offset."""
+    equations = compose(model)
+    settings, moving = _settings(model, equations)
+    everything = [each.subs(settings) for each in (*equations.derivatives, *equations.outputs)]
+    found = {p for p in equations.parameters if any(each.diff(p).free_symbols & moving for each in everything)}
+    return frozenset({*map(str, found), *equations.lags, *(name for each in equations.delays for name in each)})
+
+
+def _settings(model: Model, equations: Equations) -> tuple[dict[sympy.Symbol, float], frozenset[sympy.Symbol]]:
+    """Inputs with a usual value, with it: they are settings and no motion; and the symbols of the motion."""
+    settings = {s: each.usual for s, each in zip(equations.inputs, model.inputs, strict=True) if each.usual is not None}
+    return settings, frozenset({*equations.states, *equations.inputs, *equations.slopes} - settings.keys())
 
 
 def _typical(model: Model) -> dict[str, float]:

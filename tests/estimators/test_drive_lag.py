@@ -48,18 +48,22 @@ def matrices(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
     return shape, np.array([0.0, 0.0, -last[0]])
 
 
-def synthetic(loop: Loop, seconds: float = 6.0) -> Recording:
-    """Three steps and an oscillating vehicle, computed by matrix exponentials on the fine grid."""
+def synthetic(loop: Loop, seconds: float = 6.0, late: float = 0.0) -> Recording:
+    """Three steps and an oscillating vehicle, computed by matrix exponentials on the fine grid. Every 25th sample is
+    taken `late`, as a share of the sampling period, and its setpoint sent then."""
     steps = round(seconds / FINE)
     fine = FINE * np.arange(steps + 1)
     every = round(PERIOD / FINE)
-    time = fine[::every]
+    places = every * np.arange(steps // every + 1)
+    places[12::25] += round(late * every)
+    time = fine[places]
     setpoint = 0.4 * ((time > 2.0).astype(float) - 2.0 * (time > 2.8) + 1.0 * (time > 3.5))
     roll_rate = 0.1 * np.sin(9.0 * time) + 0.02 * np.cos(31.0 * time)
     shape, drives = matrices(loop)
     held = np.interp(fine - OFFSET, time, np.arange(len(time)))
     held = setpoint[np.clip(np.floor(held + 1e-9).astype(int), 0, len(time) - 1)]
-    slope = np.append(np.diff(roll_rate) / PERIOD, 0.0)[np.minimum(np.arange(steps + 1) // every, len(time) - 1)]
+    sample = np.searchsorted(places, np.arange(steps + 1), side="right") - 1
+    slope = np.append(np.diff(roll_rate) / np.diff(time), 0.0)[sample]
     size = len(shape)
     transition = expm(np.block([[shape, drives[:, None]], [np.zeros((1, size + 1))]]) * FINE)
     rate = np.empty(steps + 1)
@@ -151,6 +155,12 @@ def test_gap_costs_samples_but_does_not_bias_the_lag(clean: Recording) -> None:
     estimate = drive_lag([cut])
     assert estimate.values["speed_loop_lag"] == pytest.approx(LAG, rel=1e-3)
     assert estimate.samples < drive_lag([clean]).samples
+
+
+def test_samples_that_are_late_are_no_gap_and_their_setpoints_act_from_then_on() -> None:
+    estimate = drive_lag([synthetic(Loop.SYMMETRIC_OPTIMUM, late=0.7)])
+    assert estimate.values["speed_loop_lag"] == pytest.approx(LAG, rel=1e-3)
+    assert estimate.values["roll_reaction"] == pytest.approx(REACTION, rel=0.01)
 
 
 def test_lag_offset_and_reaction_of_the_virtual_vehicle_are_estimated(step: Recording) -> None:
