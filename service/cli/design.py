@@ -53,7 +53,8 @@ def design(
     """Design the vehicle's controllers for identified parameters, and predict its experiments with them.
 
     Each controller has to be stable wherever the parameters may be: in the corners of the 95 % region of the estimates
-    and at 1,000 draws from it. Otherwise it is refused, with the corner. Nothing acts before `--use`.
+    and at 1,000 draws from it, with the effects that the model has. Otherwise it is refused, with the corner. Nothing
+    acts before `--use`.
     """
     from service.offline.design import designed, read_result
     from vehicles.file import load
