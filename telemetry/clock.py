@@ -26,6 +26,8 @@ LEAST = 1e-3
 """RMS jitter, as a share of a period, below which time stamps are regular."""
 FOLLOWS = 0.05
 """Share of a stamp's error by which the clock that detects missing samples is corrected."""
+AHEAD = 5
+"""Samples after a late stamp of which at least one is in time."""
 WINDOW = 51
 """Samples over which a clock is even: slower changes are not jitter."""
 SMOOTH = 9
@@ -53,7 +55,7 @@ class Jitter:
 
 def with_regular_times(recording: Recording) -> Recording:
     """`recording` with the instants at which its samples were taken, if its channels show with significance that these
-    are not its time stamps; its `truncated` then states this, too."""
+    are not its time stamps; its `truncated` then states this, too, and its `stamped_ns` are the time stamps."""
     found = jitter(recording)
     if found is None or found.share < DEVIATIONS * found.share_error:
         return recording
@@ -66,6 +68,7 @@ def with_regular_times(recording: Recording) -> Recording:
     return replace(
         recording,
         timestamp_ns=recording.timestamp_ns - moved,
+        stamped_ns=recording.timestamp_ns,
         truncated="; ".join(filter(None, (recording.truncated, note))),
     )
 
@@ -94,8 +97,11 @@ def _off(time: Array) -> tuple[Array, float] | None:
     period = float(np.median(np.diff(time)))
     if np.max(np.abs(np.diff(time) - period)) < LEAST * period:
         return None
-    number, clock = np.zeros(len(time)), float(time[0])
-    for row, stamp in enumerate(time.tolist()[1:], start=1):
+    # A late stamp is followed by ones that are not, a missing sample makes all that follow late.
+    latest = np.pad(time, (0, AHEAD), constant_values=np.inf)
+    stamps = np.min([latest[step : step + len(time)] - step * period for step in range(AHEAD + 1)], axis=0)
+    number, clock = np.zeros(len(time)), float(stamps[0])
+    for row, stamp in enumerate(stamps.tolist()[1:], start=1):
         steps = max(1.0, float(np.round((stamp - clock) / period)))
         clock += steps * period
         clock += FOLLOWS * (stamp - clock)

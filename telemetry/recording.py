@@ -23,7 +23,9 @@ class Recording:
 
     `timestamp_ns` int64 (n,), strictly rising; `values` float64 (n,) by channel name, NaN where a value was not known.
     `metadata` is what the writer knew (vehicle, kind, experiment, parameters, ...). `truncated` states what could be
-    read of a file that was cut off; it is empty for a complete file. `source` names the file in errors.
+    read of a file that was cut off; it is empty for a complete file. `source` names the file in errors. `stamped_ns`
+    int64 (n,) are the time stamps that the controller had, if these are not the instants of the samples
+    (telemetry.clock).
 
     Raises RecordingError if columns differ in length, time does not rise, or an angle cannot be in radians.
     """
@@ -34,6 +36,7 @@ class Recording:
     metadata: Mapping[str, str] = field(default_factory=dict)
     truncated: str = ""
     source: str = "recording"
+    stamped_ns: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         if len(self.timestamp_ns) == 0:
@@ -70,6 +73,12 @@ class Recording:
     def time(self) -> NDArray[np.float64]:
         """s since the first sample, (n,)."""
         return np.asarray((self.timestamp_ns - self.timestamp_ns[0]) * 1e-9, dtype=np.float64)
+
+    @property
+    def stamped(self) -> NDArray[np.float64]:
+        """s since the first time stamp that the controller had, (n,)."""
+        stamps = self.timestamp_ns if self.stamped_ns is None else self.stamped_ns
+        return np.asarray((stamps - stamps[0]) * 1e-9, dtype=np.float64)
 
     @property
     def duration(self) -> float:
@@ -117,7 +126,8 @@ class Recording:
             what = f"has no rows from {begin:g} to {end:g} s; it lasts {span:.1f} s"
             raise RecordingError(self.source, "", what, remedy="Choose a part that exists.")
         values = {name: column[chosen] for name, column in self.values.items()}
-        return replace(self, timestamp_ns=self.timestamp_ns[chosen], values=values)
+        stamped = None if self.stamped_ns is None else self.stamped_ns[chosen]
+        return replace(self, timestamp_ns=self.timestamp_ns[chosen], values=values, stamped_ns=stamped)
 
     def frames(self, channels: ChannelTable | None = None) -> Iterator[Frame]:
         """Sample by sample, as the estimators take it, in the order of `channels` (those of the recording by default).

@@ -26,10 +26,11 @@ SAME = 0.01
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """A recording as lists, for loops. The controller held the vehicle from sample `held` on, excited from `first` to
-    `last`; `period` s from sample to sample."""
+    `last`; `period` s from sample to sample. `stamped` are the times that the controller had."""
 
     values: Mapping[str, list[float]]
     time: list[float]
+    stamped: list[float]
     period: float
     held: int
     first: int
@@ -37,7 +38,7 @@ class Recorded:
 
     def elapsed(self, row: int) -> float:
         """s since the sample before, limited as in the control loop: a gap does not upset its controller."""
-        return min(max(self.time[row] - self.time[row - 1], 0.5 * self.period), 4.0 * self.period)
+        return min(max(self.stamped[row] - self.stamped[row - 1], 0.5 * self.period), 4.0 * self.period)
 
 
 def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, period: float) -> Recorded | str:
@@ -61,6 +62,7 @@ def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, per
     return Recorded(
         values={name: recording[name].tolist() for name in needed},
         time=recording.time.tolist(),
+        stamped=recording.stamped.tolist(),
         period=period,
         held=int(held[0]),
         first=int(excited[0]),

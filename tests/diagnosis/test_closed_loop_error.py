@@ -22,7 +22,9 @@ from estimators.speed_loop_steps import SpeedLoopSteps
 from models import library
 from models.model import Model
 from service.cli.pages.compare import closed_loop_lines
+from service.virtual import run as virtual_run
 from telemetry.channels import ChannelTable
+from telemetry.clock import with_regular_times
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
 from telemetry.storage import save
@@ -38,6 +40,26 @@ DAMPED = TRUTH.add("viscous_friction").change({"viscous_friction.coefficient": 4
 @cache
 def multisine(*hide: str) -> Recording:
     return golden.recorded("monocab", "multisine", hide=hide, seed=1, duration=10.0)
+
+
+class StampedLate(virtual_run.ClosedLoop):
+    """Every 20th set of the IMU is stamped 2.7 ms late, as by a computer that pauses; it was sampled in time."""
+
+    def _from_vehicle(self, can_id: int, data: bytes, timestamp_ns: int, *, of_imu: bool) -> None:
+        late = of_imu and round(timestamp_ns * 250e-9) % 20 == 0
+        super()._from_vehicle(can_id, data, timestamp_ns + (2_700_000 if late else 0), of_imu=of_imu)
+
+
+def test_the_controller_is_replayed_with_the_time_stamps_that_it_had() -> None:
+    section = VEHICLE.experiments["multisine"].model_copy(update={"duration": 10.0})
+    loop = StampedLate(VEHICLE.model_copy(update={"experiments": {"multisine": section}}))
+    loop.run("multisine")
+    found = with_regular_times(loop.recording("late"))
+    assert found.stamped_ns is not None
+    assert np.std(np.diff(found.time)) < 0.3 * np.std(np.diff(found.stamped))
+    assert isinstance(recorded_loop(VEHICLE, found), Loop)
+    # With the instants of the samples, its integral would be another.
+    assert isinstance(recorded_loop(VEHICLE, replace(found, stamped_ns=None)), str)
 
 
 LEANING = TRUTH.add("static_torque").change({"static_torque.torque": 100.0})

@@ -54,6 +54,9 @@ def test_stamps_of_samples_taken_by_a_clock_are_set_to_that_clock(
     # Errors slower than the window remain: the clock's own beginning, and the mean jitter of a window.
     assert np.std(off - np.mean(off)) < 0.2 * JITTER
     assert "0.49 ms RMS" in found.truncated or "0.5 ms RMS" in found.truncated
+    np.testing.assert_allclose(found.stamped, jittering[kept] - jittering[kept][0], atol=1e-8)
+    part = found.between(1.0, 2.0)
+    assert len(part.stamped) == len(part)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.02])
