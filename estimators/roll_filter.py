@@ -72,7 +72,9 @@ class RollFilterConfig:
 class RollState:
     """The estimate at one IMU sample: rad and rad/s. The rates are the gyro about x and about y minus its bias.
 
-    `bias_std` is that of the bias about x.
+    `bias_std` is that of the bias about x. `contradiction` (m/s^2, in the body frame) is what the accelerometer shows
+    beyond gravity and the acceleration of its lever arm, which follow from the gyro: vibration and other motion of the
+    whole vehicle, or an error of one of the two.
 
     A vehicle falls about one of the two axes: a monorail rolls, a robot on two wheels pitches.
     """
@@ -86,6 +88,7 @@ class RollState:
     pitch_rate: float = 0.0
     pitch_std: float = 0.0
     bias_std: float = 0.0
+    contradiction: Vector3 = (0.0, 0.0, 0.0)
 
 
 class RollFilter:
@@ -112,6 +115,7 @@ class RollFilter:
         self._last: ImuSample | None = None
         self._up: Vector3 = (0.0, 0.0, 1.0)
         self._bias: Vector3 = (0.0, 0.0, 0.0)
+        self._contradiction: Vector3 = (0.0, 0.0, 0.0)
         self._start_smoothing((0.0, 0.0, 0.0))
 
     def update(self, sample: ImuSample) -> RollState:
@@ -166,6 +170,8 @@ class RollFilter:
 
         self._predict(turn, step, change)
         self._correct(variance)
+        ux, uy, uz = self._up
+        self._contradiction = (reading[0] - GRAVITY * ux, reading[1] - GRAVITY * uy, reading[2] - GRAVITY * uz)
 
     def _lever(self, rate: Vector3, change: Vector3, elapsed: float) -> Vector3:
         """Tangential and centripetal acceleration at the lever arm."""
@@ -255,6 +261,7 @@ class RollFilter:
             pitch_rate=sample.angular_rate[1] - self._bias[1],
             pitch_std=math.sqrt(max(pitch_variance, 0.0)),
             bias_std=math.sqrt(max(float(covariance[3, 3]), 0.0)),
+            contradiction=self._contradiction,
         )
 
 

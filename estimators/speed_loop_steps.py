@@ -36,6 +36,12 @@ class SpeedLoopSteps:
     def step(self, setpoint: float, roll_rate: float) -> float:
         """The rate one sample later, rad/s, if `setpoint` (rad/s) is sent at this sample and the vehicle rolls with
         `roll_rate`."""
+        rate, load = self.parts(setpoint, roll_rate)
+        return rate - self._reaction * load
+
+    def parts(self, setpoint: float, roll_rate: float) -> tuple[float, float]:
+        """As `step`, in two parts: what the setpoint makes of the rate, and the response to the change of the roll rate
+        over one period, of which the reaction over a period is taken away."""
         jump, self._setpoint = setpoint - self._setpoint, setpoint
         before = self._rates or (roll_rate,) * 4
         # Change of the roll rate until the next sample, and until this one, each extrapolated from earlier samples.
@@ -50,4 +56,4 @@ class SpeedLoopSteps:
             self._load[place] = (self._load[place] + change - last) * decay
             rate += (self._share[place] * self._state[place]).real
             load += (self._load_share[place] * self._load[place]).real
-        return rate - self._reaction * load
+        return rate, load

@@ -24,6 +24,7 @@ class Code(StrEnum):
     IMU_STUCK = "imu_stuck"
     IMU_OUT_OF_RANGE = "imu_out_of_range"
     IMU_FORMAT = "imu_format"
+    IMU_CONTRADICTION = "imu_contradiction"
     NOT_FINITE = "not_finite"
     DRIVE_SILENT = "drive_silent"
     DRIVE_EMERGENCY = "drive_emergency"
@@ -67,6 +68,11 @@ class Unit:
 
 DEGREES = Unit("deg", degrees(1.0))
 DEGREES_PER_SECOND = Unit("deg/s", degrees(1.0))
+DEVIATIONS = Unit("standard deviations", digits=1)
+
+CONTRADICTION = 6.0
+"""Standard deviations by which accelerometer and gyro may contradict each other (estimators.imu_consistency). Vibration
+as strong as stated is beyond it once in 2,800 h: 2e-9 of the 1.8e5 independent means of three axes in an hour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +80,7 @@ class Bound:
     """A quantity of an `Observation` (a dotted name, as in "axes.precession") that must stay within +-`limit` (SI).
 
     If a bound with `advice` is exceeded, the experiment ends in an orderly way, which leaves time to follow it; if any
-    other bound is exceeded, the vehicle is stopped.
+    other bound is exceeded, the vehicle is stopped. `what` exceeds it, in words: with advice, a whole statement.
     """
 
     code: StrEnum
@@ -91,7 +97,7 @@ class Bound:
             return stop(Code.NOT_FINITE, f"{self.what} is {value}, not a number")
         unit, limit = self.unit, self.limit * self.unit.per_si
         if self.advice:
-            text = f"{self.what} used up: {value * unit.per_si:.1f} of {limit:g} {unit.name}; {self.advice}"
+            text = f"{self.what}: {value * unit.per_si:.1f} of {limit:g} {unit.name}; {self.advice}"
             return Verdict(self.code, Reaction.END_EXPERIMENT, text)
         return stop(
             self.code,
@@ -102,3 +108,14 @@ class Bound:
 
 def stop(code: StrEnum, text: str) -> Verdict:
     return Verdict(code, Reaction.STOP_NOW, text)
+
+
+IMU_CONTRADICTION = Bound(
+    Code.IMU_CONTRADICTION,
+    "accelerometer and gyro contradict each other: a difference",
+    "contradiction",
+    CONTRADICTION,
+    DEVIATIONS,
+    When.BALANCING,
+)
+"""For vehicles whose axis does not accelerate: one that drives would need a model of that."""

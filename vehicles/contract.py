@@ -137,6 +137,26 @@ class Pilot(Protocol[M_in]):
         ...
 
 
+class Watch(Protocol[M_in]):
+    """What a kind's model says about its measurements: quantities for its bounds, as in "watched.recovery"."""
+
+    def reset(self) -> None:
+        """An experiment starts."""
+        ...
+
+    def update(self, lean: Lean, drives: M_in) -> None:
+        """One control cycle, before its setpoints are sent."""
+        ...
+
+
+class Unwatched:
+    """The watch of a kind that has no such bounds."""
+
+    def reset(self) -> None: ...
+
+    def update(self, lean: Lean, drives: Measurement) -> None: ...
+
+
 class Kind(Protocol[M]):
     """One kind of vehicle, built from a vehicle file and its drivers."""
 
@@ -144,6 +164,11 @@ class Kind(Protocol[M]):
     """Name of the angle by which it falls."""
     bounds: tuple[Bound, ...]
     """What is monitored beyond IMU and drives, most severe first."""
+
+    @property
+    def watch(self) -> Watch[M]:
+        """What its model says about the measurements."""
+        ...
 
     def lean(self, attitude: RollState) -> Lean:
         """The angle by which this kind falls, from the roll filter's state."""

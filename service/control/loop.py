@@ -16,6 +16,7 @@ from typing import Any, Protocol
 from drivers.bus import BusDown
 from drivers.cia402.drive import Drive
 from drivers.vehicle_io import VehicleIo
+from estimators.imu_consistency import ImuConsistency
 from service.control import assembly
 from service.control.notify import Notifier
 from service.control.readiness import interlocks, observation, observe
@@ -105,8 +106,10 @@ class ControlLoop:
         """All frames, while the set-up checks the bus."""
         self._filter = assembly.roll_filter(vehicle)
         self._pilot = self.kind.pilot()
+        self._consistency = ImuConsistency(float(vehicle.control.rate), vehicle.imu.filter.acceleration_std)
         self._safety = Safety(self.kind.bounds, missed_cycles=vehicle.limits.missed_cycles, period=vehicle.period)
         self._seen = observation(self.io)
+        self._seen.watched = self.kind.watch
         self._send = send
         self._observer = observer
         self._notifier = notifier
@@ -155,6 +158,7 @@ class ControlLoop:
         elapsed = (now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
         attitude = self._filter.update(sample)
+        self._seen.contradiction = self._consistency.update(attitude.contradiction)
         lean = self.lean = self.kind.lean(attitude)
         drives = self.drives = self.kind.measure()
         # A clock adjustment or a gap must not upset the controller: its step stays near a period.
@@ -191,6 +195,7 @@ class ControlLoop:
     def _judge(self, now_ns: int, elapsed: float, lean: Lean, drives: Measurement, command: Command) -> Verdict:
         seen, run = self._seen, self.run
         observe(seen, self.io, now_ns, drives)
+        self.kind.watch.update(lean, drives)
         seen.imu_age = elapsed
         seen.angle = lean.angle
         seen.rate = lean.rate
@@ -247,6 +252,7 @@ class ControlLoop:
         """Start an experiment and its recording. Only allowed while `interlocks()` is empty."""
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
         self._phase = run.phase
+        self.kind.watch.reset()
         self._reset_at_ns = self._last_ns + RECORDING_LEAD_NS
         if self._recording:
             self._end_recording()
@@ -411,6 +417,7 @@ class ControlLoop:
         """Discard all earlier measurements at the agreed time, so that the raw log is sufficient for a replay."""
         self.io.reset(self._reset_at_ns)
         self._filter.reset()
+        self._consistency.reset()
         self._reset_at_ns = NEVER_NS
 
     def _end_recording(self) -> None:

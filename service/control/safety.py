@@ -50,7 +50,8 @@ class Observation:
     `imu_age` s since the previous IMU sample, or since the last one if none came; `imu_text` is the explanation by the
     IMU driver; `late_cycles` consecutive cycles came too late to command the drives; `angle` (rad) and `rate` (rad/s)
     are those of the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the
-    kind of vehicle. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
+    kind of vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
+    standard deviations. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
     """
 
     drives: tuple[DriveObservation, ...] = ()
@@ -65,6 +66,8 @@ class Observation:
     rate: float = 0.0
     setpoint: float = 0.0
     axes: Any = None
+    watched: Any = None
+    contradiction: float = 0.0
     late_cycles: int = 0
     observer_alive: bool = True
 

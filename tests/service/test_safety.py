@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,6 +19,7 @@ from vehicles.monocab.kind import MonocabCode, bounds
 VEHICLE = load("monocab")
 SAFETY = Safety(bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period)
 STILL = GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0)
+AS_MODELLED = SimpleNamespace(gimbal_following=0.0, trim_following=0.0, jump=0.0, recovery=0.1)
 
 
 def balancing() -> Observation:
@@ -27,7 +29,15 @@ def balancing() -> Observation:
         for name in ("gimbal_left", "gimbal_right", "trim")
     )
     return Observation(
-        drives=drives, armed=True, should_run=True, balancing=True, imu_age=0.004, angle=0.01, axes=STILL
+        drives=drives,
+        armed=True,
+        should_run=True,
+        balancing=True,
+        upright=True,
+        imu_age=0.004,
+        angle=0.01,
+        axes=STILL,
+        watched=AS_MODELLED,
     )
 
 
@@ -50,6 +60,13 @@ def field(**changes: object) -> Callable[[Observation], None]:
 def axes(**changes: object) -> Callable[[Observation], None]:
     def spoil(seen: Observation) -> None:
         seen.axes = replace(STILL, **changes)  # type: ignore[arg-type]
+
+    return spoil
+
+
+def watched(**changes: float) -> Callable[[Observation], None]:
+    def spoil(seen: Observation) -> None:
+        seen.watched = SimpleNamespace(**{**vars(AS_MODELLED), **changes})
 
     return spoil
 
@@ -80,10 +97,25 @@ ARMED = [
     (axes(trim_position=-0.31), MonocabCode.TRIM_POSITION, ("-0.310 m", "0.300 m")),
     (axes(trim_rate=0.16), MonocabCode.TRIM_RATE, ("trim mass rate of 0.160 m/s", "0.150 m/s")),
     (axes(trim_position=NAN), Code.NOT_FINITE, ("trim",)),
+    (watched(gimbal_following=0.01), MonocabCode.GIMBAL_FOLLOWING, ("do not follow", "0.57 deg", "0.20 deg")),
     (field(late_cycles=3), Code.DEADLINE, ("3 control cycles", "4 ms")),
 ]
 SHOULD_RUN = [(drive(enabled=False, state="Quick stop active"), Code.DRIVE_NOT_ENABLED, ("Quick stop active",))]
+UPRIGHT = [
+    (field(angle=-0.066), MonocabCode.FALLEN, ("lies on its support", "-3.78 deg", "3.70 deg")),
+    (watched(jump=0.05), MonocabCode.GYRO_JUMP, ("the gyro jumps", "2.86 deg/s")),
+    (watched(recovery=1.2), MonocabCode.RECOVERY, ("cannot bring", "120 %")),
+    (watched(recovery=NAN), Code.NOT_FINITE, ("precession that is left",)),
+]
+WHILE_BALANCING = [
+    (field(contradiction=6.5), Code.IMU_CONTRADICTION, ("contradict each other", "6.5 standard deviations")),
+    (field(contradiction=NAN), Code.NOT_FINITE, ("accelerometer and gyro",)),
+]
+ARMED_IN_ORDER = [
+    (watched(trim_following=0.004), MonocabCode.TRIM_FOLLOWING, ("does not follow", "4.0 of 2 mm", "moves freely")),
+]
 BALANCING = [
+    (watched(recovery=0.8), MonocabCode.RECOVERY, ("leave too little", "80.0 of 70 %")),
     (axes(precession=0.8), MonocabCode.PRECESSION_BUDGET, ("45.8 of 45 deg",)),
     (axes(precession=-0.8), MonocabCode.PRECESSION_BUDGET, ("-45.8",)),
     (field(observer_alive=False), Code.OBSERVER_GONE, ("observer",)),
@@ -95,7 +127,7 @@ def test_verdict_without_a_fault_is_the_constant_ok() -> None:
     assert OK.reaction is Reaction.CONTINUE
 
 
-@pytest.mark.parametrize(("spoil", "code", "words"), ALWAYS + ARMED + SHOULD_RUN)
+@pytest.mark.parametrize(("spoil", "code", "words"), ALWAYS + ARMED + SHOULD_RUN + UPRIGHT + WHILE_BALANCING)
 def test_state_that_cannot_be_controlled_stops_immediately(
     spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
 ) -> None:
@@ -106,7 +138,7 @@ def test_state_that_cannot_be_controlled_stops_immediately(
     assert all(word in verdict.text for word in words), verdict.text
 
 
-@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING)
+@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING + ARMED_IN_ORDER)
 def test_state_that_can_still_be_controlled_ends_in_order(
     spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
 ) -> None:
@@ -119,7 +151,12 @@ def test_state_that_can_still_be_controlled_ends_in_order(
 
 @pytest.mark.parametrize(
     ("flag", "cases"),
-    [("armed", ARMED + SHOULD_RUN + BALANCING), ("should_run", SHOULD_RUN), ("balancing", BALANCING)],
+    [
+        ("armed", ARMED + ARMED_IN_ORDER + SHOULD_RUN + BALANCING),
+        ("should_run", SHOULD_RUN),
+        ("balancing", BALANCING + WHILE_BALANCING),
+        ("upright", UPRIGHT),
+    ],
 )
 def test_checks_of_a_phase_do_not_apply_outside_it(
     flag: str, cases: list[tuple[Callable[[Observation], None], Code]]
@@ -141,6 +178,7 @@ def test_imu_and_roll_are_monitored_in_every_phase() -> None:
 
 def test_resting_on_a_support_is_not_a_fault() -> None:
     seen = balancing()
+    seen.upright = False
     seen.angle = math.radians(4.1)
     assert SAFETY.judge(seen) is OK
 

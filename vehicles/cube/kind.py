@@ -11,7 +11,7 @@ from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_robustness import CheckedDesign
 from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
-from vehicles.contract import Command, Lean
+from vehicles.contract import Command, Lean, Unwatched
 from vehicles.cube.axes import Wheel, WheelMeasurement
 from vehicles.cube.controller import WheelController, design
 from vehicles.cube.file import CubeFile
@@ -44,7 +44,7 @@ def bounds(vehicle: CubeFile) -> tuple[Bound, ...]:
         Bound(CubeCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
         Bound(
             CubeCode.WHEEL_RATE_BUDGET,
-            "wheel rate budget",
+            "wheel rate budget used up",
             "axes.rate",
             limits.wheel_rate_budget,
             RADIANS_PER_SECOND,
@@ -84,6 +84,7 @@ class Cube:
 
     def __init__(self, vehicle: CubeFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
+        self.watch = Unwatched()
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
         self._wheel = Wheel(io)

@@ -40,6 +40,10 @@ class MonocabLimits(LimitsSection):
     trim_rate: Positive
     trim_acceleration: Positive = 0.5
     """m/s^2, of the setpoint."""
+    gimbal_following_deg: Positive = 0.2
+    """deg by which a gimbal may move otherwise than any likely speed loop would move it; see `watch`."""
+    trim_following: Positive = 0.002
+    """m, the same of the trim mass."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

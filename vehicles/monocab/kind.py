@@ -11,7 +11,7 @@ from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_design import ControlDesignError
 from models.control_robustness import CheckedDesign
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, IMU_CONTRADICTION, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
@@ -20,6 +20,7 @@ from vehicles.monocab.control.full import full_if_used
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import FULL, MonocabFile
 from vehicles.monocab.handling import GimbalHandling
+from vehicles.monocab.watch import MonocabWatch
 
 
 class MonocabCode(StrEnum):
@@ -33,9 +34,20 @@ class MonocabCode(StrEnum):
     TRIM_POSITION = "trim_position"
     TRIM_RATE = "trim_rate"
     PRECESSION_BUDGET = "precession_budget"
+    GIMBAL_FOLLOWING = "gimbal_following"
+    TRIM_FOLLOWING = "trim_following"
+    GYRO_JUMP = "gyro_jump"
+    FALLEN = "fallen"
+    RECOVERY = "recovery"
 
 
-METRES = Unit("m", digits=3)
+METRES, PERCENT = Unit("m", digits=3), Unit("%", 100.0, digits=0)
+SUPPORT_MARGIN_DEG = 0.3
+"""deg before the angle of the supports that count as lying on one: they give, and the roll angle has an error."""
+JUMP_DEG = 1.0
+"""deg/s beyond what torques and noise explain."""
+RECOVERY = 0.7
+"""Share of the largest recoverable lean at which an experiment ends in order."""
 RATE_MARGIN = 1.5
 """How far the measured rate of an axis may exceed the setpoint's limit: the speed loop overshoots a little."""
 
@@ -79,8 +91,57 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
             Unit("m/s", digits=3),
         ),
         Bound(
+            MonocabCode.GIMBAL_FOLLOWING,
+            "the gimbals do not follow their setpoint: an error",
+            "watched.gimbal_following",
+            radians(limits.gimbal_following_deg),
+            DEGREES,
+        ),
+        IMU_CONTRADICTION,
+        Bound(
+            MonocabCode.GYRO_JUMP,
+            "the gyro jumps as nothing can make the vehicle roll: a change",
+            "watched.jump",
+            radians(JUMP_DEG),
+            DEGREES_PER_SECOND,
+            When.UPRIGHT,
+        ),
+        Bound(
+            MonocabCode.FALLEN,
+            "the vehicle lies on its support while it is to be upright: roll",
+            "angle",
+            vehicle.support - radians(SUPPORT_MARGIN_DEG),
+            DEGREES,
+            When.UPRIGHT,
+        ),
+        Bound(
+            MonocabCode.RECOVERY,
+            "the precession that is left cannot bring the vehicle back upright: a lean",
+            "watched.recovery",
+            1.0,
+            PERCENT,
+            When.UPRIGHT,
+        ),
+        Bound(
+            MonocabCode.RECOVERY,
+            "lean and precession leave too little to bring the vehicle back upright",
+            "watched.recovery",
+            RECOVERY,
+            PERCENT,
+            When.UPRIGHT,
+            advice="make the excitation smaller, or find what pushes the vehicle",
+        ),
+        Bound(
+            MonocabCode.TRIM_FOLLOWING,
+            "the trim mass does not follow its setpoint",
+            "watched.trim_following",
+            limits.trim_following,
+            Unit("mm", 1e3),
+            advice="check that the trim mass moves freely, and its drive",
+        ),
+        Bound(
             MonocabCode.PRECESSION_BUDGET,
-            "precession budget",
+            "precession budget used up",
             "axes.precession",
             budget,
             DEGREES,
@@ -127,6 +188,7 @@ class Monocab:
 
     def __init__(self, vehicle: MonocabFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
+        self.watch = MonocabWatch(vehicle, io)
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
         self._gimbals = Gimbals(io)

@@ -10,7 +10,7 @@ from typing import Any
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
-from vehicles.contract import Command, Lean
+from vehicles.contract import Command, Lean, Unwatched
 from vehicles.excitation import Excitation
 from vehicles.twsbr.axes import WheelMeasurement, Wheels
 from vehicles.twsbr.controller import TiltController
@@ -48,7 +48,7 @@ def bounds(vehicle: TwsbrFile) -> tuple[Bound, ...]:
         Bound(TwsbrCode.TRAVEL, "travel", "axes.travel", limits.travel, METRES, When.BALANCING),
         Bound(
             TwsbrCode.TRAVEL_BUDGET,
-            "travel budget",
+            "travel budget used up",
             "axes.travel",
             limits.travel_budget,
             METRES,
@@ -93,6 +93,7 @@ class Twsbr:
 
     def __init__(self, vehicle: TwsbrFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
+        self.watch = Unwatched()
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
         self._wheels = Wheels(io, vehicle.parameters.wheel_radius.value)

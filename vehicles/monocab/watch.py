@@ -1,0 +1,188 @@
+"""What the model of a MONOCAB says about its measurements while it runs: do the axes follow their setpoints, does the
+gyro change by more than anything can accelerate the vehicle, and can the vehicle still be brought back upright?
+
+Axes. No speed loop within what is known of it explains a rate outside the band of their responses: twice the standard
+deviation of its lag, none to twice the reaction to the rolling vehicle, setpoints under way for no longer than its own
+lag, a tenth of error in its scale. The angle by which an axis has moved outside the band is added up, less what is
+forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
+
+Recovery. With the fastest precession, all that is left of the precession angle brings the unstable motion
+z = roll + roll_rate / pole back from no more than
+
+    z_max = angular_momentum rate / gravity_stiffness (1 - exp(-pole left / rate)),    pole^2 = stiffness / inertia
+
+`recovery` is z, as it will be once the drives have answered, over z_max. Source: integration of equation (3) of the
+paper.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from math import ceil, exp, expm1, radians
+
+from drivers.cia402.drive import Drive
+from drivers.vehicle_io import VehicleIo
+from estimators.speed_loop_steps import SpeedLoopSteps
+from models.gravity import GRAVITY
+from vehicles.contract import Lean
+from vehicles.monocab.axes import GimbalMeasurement
+from vehicles.monocab.control.linear_model import MonocabParameters
+from vehicles.monocab.file import MonocabFile
+
+DEVIATIONS = 2.0
+"""Standard deviations of the lag within which a speed loop may be."""
+ON_THE_BUS = 2
+"""Cycles from the one in which a setpoint is sent to the first in which a rate that follows it is read."""
+SCALE = 0.1
+"""Share by which a rate may differ from its setpoint for ever: an error of a gear ratio or unit, which is an effect to
+be diagnosed. The controller has a gain margin of several times that."""
+FORGIVEN = 0.01
+"""Share of the largest rate that an axis may be outside the band for ever: resolution and noise of the drive."""
+REACTION = 8.0 / 16.0
+"""Reaction of a speed loop by the symmetric optimum, over lag^2 and load per inertia: 8 tau^2 with lag = 4 tau."""
+SHORTEST = 0.25
+"""Share of its mean below which no lag is tried: two standard deviations may reach zero."""
+JUMP_MEMORY = 0.05
+"""s over which jumps of the gyro are added up."""
+NOISE = 0.01
+"""rad/s between two samples that are the gyro's own noise, or vibration."""
+
+
+class Following:
+    """One axis that several drives move together. `error` (rad or m) is how far the worst drive has moved outside the
+    band of speed loops, 0 for an axis without drives."""
+
+    __slots__ = ("_bands", "_drives", "_errors", "_forgiven", "_latest", "_loops", "_period", "_reaction", "error")
+
+    def __init__(
+        self, drives: Sequence[Drive], lag: float, std: float, reaction: float, rate: float, period: float
+    ) -> None:
+        """`lag` and its `std` (s), the likely `reaction` (s, or s^2 for a load in m/s^2), the largest `rate`."""
+        self._drives = tuple(drives)
+        lags = {max(lag + each * std, SHORTEST * lag) for each in (-DEVIATIONS, 0.0, DEVIATIONS)}
+        self._loops = [SpeedLoopSteps(each, 0.0, 0.0, period, 0.0) for each in sorted(lags)]
+        self._reaction = 2.0 * reaction / period
+        self._forgiven = FORGIVEN * rate
+        self._period = period
+        self._latest = ON_THE_BUS + ceil(lag / period)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again with no error."""
+        self._errors = [0.0] * len(self._drives)
+        self._bands: deque[tuple[float, float]] = deque(maxlen=self._latest)
+        self.error = 0.0
+
+    def update(self, load: float) -> None:
+        """One cycle later. `load` is what the axis reacts to: the roll rate, or an acceleration."""
+        if not self._drives:
+            return
+        setpoint = sum(drive.setpoint for drive in self._drives) / len(self._drives)
+        lowest, highest = 1e9, -1e9
+        for loop in self._loops:
+            rate, response = loop.parts(setpoint, load)
+            other = rate - self._reaction * response
+            lowest, highest = min(lowest, rate, other), max(highest, rate, other)
+        bands = self._bands
+        if len(bands) == self._latest:
+            self._judge(min([low for low, _ in bands]), max([high for _, high in bands]))
+        # The band of this cycle's setpoint is not in the measured rates yet.
+        bands.append((lowest - SCALE * abs(lowest), highest + SCALE * abs(highest)))
+
+    def _judge(self, lowest: float, highest: float) -> None:
+        worst = 0.0
+        for number, drive in enumerate(self._drives):
+            rate = drive.velocity
+            beyond = lowest - rate if rate < lowest else rate - highest if rate > highest else 0.0
+            error = max(0.0, self._errors[number] + (beyond - self._forgiven) * self._period)
+            self._errors[number] = error
+            worst = max(worst, error)
+        self.error = worst
+
+
+class MonocabWatch:
+    """`gimbal_following` (rad) and `trim_following` (m): how far the axes are from their setpoints; `jump` (rad/s): how
+    much the gyro has changed that no torque explains; `recovery`: share of what can be brought back that is used up."""
+
+    __slots__ = (
+        "_acceleration",
+        "_angle",
+        "_height",
+        "_jump",
+        "_jumped",
+        "_jumps",
+        "_lag",
+        "_period",
+        "_pole",
+        "_rate",
+        "_reach",
+        "_roll_rate",
+        "gimbal_following",
+        "gimbals",
+        "jump",
+        "recovery",
+        "trim",
+        "trim_following",
+    )
+
+    def __init__(self, vehicle: MonocabFile, io: VehicleIo) -> None:
+        parameters = MonocabParameters.from_values(vehicle.parameters.values)
+        deviations, limits, period = vehicle.parameters.deviations, vehicle.limits, vehicle.period
+        lag, trim_lag = parameters.speed_loop_lag, parameters.trim_lag
+        gimbal = vehicle.parameters.values.get("gimbal_inertia")
+        # A gimbal whose inertia nobody stated may weigh as little as lets it react by its lag.
+        reaction = REACTION * lag**2 * parameters.angular_momentum / gimbal if gimbal else lag
+        self.gimbals = Following(
+            io.role("gimbal"), lag, deviations["speed_loop_lag"], reaction, limits.precession_rate, period
+        )
+        trim_std = deviations.get("trim_speed_loop_lag", deviations["speed_loop_lag"])
+        self.trim = Following(io.role("trim"), trim_lag, trim_std, REACTION * trim_lag**2, limits.trim_rate, period)
+        self._height = parameters.trim_height
+        self._period = period
+        self._pole = parameters.unstable_pole
+        self._lag = lag + period
+        self._rate = limits.precession_rate
+        self._angle = radians(limits.precession_deg)
+        self._reach = parameters.angular_momentum * limits.precession_rate / parameters.gravity_stiffness
+        # Twice what precession at its limit and gravity on a support give, on the lightest vehicle that is likely.
+        lightest = parameters.inertia - DEVIATIONS * deviations["inertia"]
+        torque = parameters.angular_momentum * limits.precession_rate + parameters.gravity_stiffness * vehicle.support
+        self._acceleration = 2.0 * torque / max(lightest, 0.5 * parameters.inertia)
+        self._jumps: deque[float] = deque(maxlen=max(2, round(JUMP_MEMORY / period)))
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again: an experiment starts."""
+        self.gimbals.reset()
+        self.trim.reset()
+        self._roll_rate: float | None = None
+        self._jumps.clear()
+        self._jumped = 0.0
+        self.gimbal_following = self.trim_following = self.jump = self.recovery = 0.0
+
+    def update(self, lean: Lean, drives: GimbalMeasurement) -> None:
+        """One cycle, before its setpoints are sent."""
+        before = lean.rate if self._roll_rate is None else self._roll_rate
+        self._roll_rate = lean.rate
+        change = lean.rate - before
+        self.gimbals.update(lean.rate)
+        self.trim.update(self._height * change / self._period - GRAVITY * lean.angle)
+        self.gimbal_following, self.trim_following = self.gimbals.error, self.trim.error
+        self._watch_gyro(change)
+        self._watch_recovery(lean, drives.precession)
+
+    def _watch_gyro(self, change: float) -> None:
+        """A wrong sample alone jumps there and back: the sum is not zero for one cycle, so that two cycles count."""
+        possible = self._acceleration * self._period + NOISE
+        beyond = max(change - possible, 0.0) + min(change + possible, 0.0)
+        self._jumps.append(beyond)
+        last, self._jumped = self._jumped, sum(self._jumps)
+        self.jump = min(abs(last), abs(self._jumped))
+
+    def _watch_recovery(self, lean: Lean, precession: float) -> None:
+        falling = lean.angle + lean.rate / self._pole
+        left = self._angle + precession if falling > 0.0 else self._angle - precession
+        most = self._reach * -expm1(-self._pole * max(left, 0.0) / self._rate)
+        used = abs(falling) * exp(self._pole * self._lag)
+        self.recovery = used / most if most > 0.0 else 1e3
