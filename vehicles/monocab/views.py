@@ -72,6 +72,8 @@ LIMITS = {
     "trim_position": ("trim position", "m"),
     "trim_rate": ("trim rate", "m/s"),
     "trim_acceleration": ("trim acceleration", "m/s²"),
+    "gimbal_following_deg": ("gimbals off their setpoint", "deg"),
+    "trim_following": ("trim mass off its setpoint", "m"),
 }
 
 VIEWS = Views(CHARTS, STORY, "rad/s", LIMITS)
