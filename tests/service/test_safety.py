@@ -19,7 +19,7 @@ from vehicles.monocab.kind import MonocabCode, bounds
 VEHICLE = load("monocab")
 SAFETY = Safety(bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period)
 STILL = GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0)
-AS_MODELLED = SimpleNamespace(gimbal_following=0.0, trim_following=0.0, jump=0.0, recovery=0.1)
+AS_MODELLED = SimpleNamespace(gimbal_following=0.0, trim_following=0.0, jump=0.0, gained=0.0, recovery=0.1)
 
 
 def balancing() -> Observation:
@@ -114,6 +114,9 @@ WHILE_BALANCING = [
 ARMED_IN_ORDER = [
     (watched(trim_following=0.004), MonocabCode.TRIM_FOLLOWING, ("does not follow", "4.0 of 2 mm", "moves freely")),
 ]
+UPRIGHT_IN_ORDER = [
+    (watched(gained=0.1), MonocabCode.TORQUE_BALANCE, ("no torque explains", "5.7 of 5 deg/s", "flywheels")),
+]
 BALANCING = [
     (watched(recovery=0.8), MonocabCode.RECOVERY, ("leave too little", "80.0 of 70 %")),
     (axes(precession=0.8), MonocabCode.PRECESSION_BUDGET, ("45.8 of 45 deg",)),
@@ -138,7 +141,7 @@ def test_state_that_cannot_be_controlled_stops_immediately(
     assert all(word in verdict.text for word in words), verdict.text
 
 
-@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING + ARMED_IN_ORDER)
+@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING + ARMED_IN_ORDER + UPRIGHT_IN_ORDER)
 def test_state_that_can_still_be_controlled_ends_in_order(
     spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
 ) -> None:
@@ -155,7 +158,7 @@ def test_state_that_can_still_be_controlled_ends_in_order(
         ("armed", ARMED + ARMED_IN_ORDER + SHOULD_RUN + BALANCING),
         ("should_run", SHOULD_RUN),
         ("balancing", BALANCING + WHILE_BALANCING),
-        ("upright", UPRIGHT),
+        ("upright", UPRIGHT + UPRIGHT_IN_ORDER),
     ],
 )
 def test_checks_of_a_phase_do_not_apply_outside_it(

@@ -40,6 +40,8 @@ class MonocabLimits(LimitsSection):
     trim_rate: Positive
     trim_acceleration: Positive = 0.5
     """m/s^2, of the setpoint."""
+    load_torque: Positive = 600.0
+    """N m, the largest load on the vehicle that is no fault: a person who sits down is 550 N m."""
     gimbal_following_deg: Positive = 0.2
     """deg by which a gimbal may move otherwise than any likely speed loop would move it; see `watch`."""
     trim_following: Positive = 0.002

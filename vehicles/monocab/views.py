@@ -72,6 +72,7 @@ LIMITS = {
     "trim_position": ("trim position", "m"),
     "trim_rate": ("trim rate", "m/s"),
     "trim_acceleration": ("trim acceleration", "m/s²"),
+    "load_torque": ("load", "N m"),
     "gimbal_following_deg": ("gimbals off their setpoint", "deg"),
     "trim_following": ("trim mass off its setpoint", "m"),
 }

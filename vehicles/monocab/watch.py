@@ -101,9 +101,55 @@ class Following:
         self.error = worst
 
 
+class Momentum:
+    """The torque balance of roll, equation (1) of the paper. `gained` (rad/s) is the roll rate that no torque explains:
+    not gravity, gyroscopes and trim mass within twice the standard deviations of their parameters and a tenth of scale,
+    and not a load up to the largest of the vehicle file. Two sums as for an axis, one for each direction."""
+
+    __slots__ = ("_down", "_inertia", "_load", "_momentum", "_period", "_stiffness", "_up", "_weight", "gained")
+
+    def __init__(self, vehicle: MonocabFile) -> None:
+        values, deviations = vehicle.parameters.values, vehicle.parameters.deviations
+
+        def known(name: str, scale: float = 0.0) -> tuple[float, float]:
+            """A parameter, and how far it may be off."""
+            return values[name], DEVIATIONS * deviations[name] + scale * values[name]
+
+        self._inertia = known("inertia")
+        self._stiffness = known("gravity_stiffness")
+        self._momentum = known("angular_momentum", SCALE)
+        self._weight = known("trim_mass", SCALE)
+        self._load = vehicle.limits.load_torque
+        self._period = vehicle.period
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again with nothing gained."""
+        self._up = self._down = self.gained = 0.0
+
+    def update(self, change: float, roll: float, precession_rate: float, trim_position: float) -> None:
+        """One cycle, in which the roll rate has changed by `change` (rad/s)."""
+        expected, doubt = 0.0, self._load
+        for (value, error), by in (
+            (self._stiffness, roll),
+            (self._momentum, precession_rate),
+            (self._weight, GRAVITY * trim_position),
+        ):
+            expected += value * by
+            doubt += error * abs(by)
+        inertia, error = self._inertia
+        torque = inertia * change / self._period
+        doubt += error * abs(change) / self._period
+        share = self._period / inertia
+        self._up = max(0.0, self._up + (torque - expected - doubt) * share)
+        self._down = max(0.0, self._down + (expected - torque - doubt) * share)
+        self.gained = max(self._up, self._down)
+
+
 class MonocabWatch:
     """`gimbal_following` (rad) and `trim_following` (m): how far the axes are from their setpoints; `jump` (rad/s): how
-    much the gyro has changed that no torque explains; `recovery`: share of what can be brought back that is used up."""
+    much the gyro jumped; `gained` (rad/s): the roll rate that no torque explains; `recovery`: share of what can be
+    brought back that is used up."""
 
     __slots__ = (
         "_acceleration",
@@ -118,9 +164,11 @@ class MonocabWatch:
         "_rate",
         "_reach",
         "_roll_rate",
+        "gained",
         "gimbal_following",
         "gimbals",
         "jump",
+        "momentum",
         "recovery",
         "trim",
         "trim_following",
@@ -138,6 +186,7 @@ class MonocabWatch:
         )
         trim_std = deviations.get("trim_speed_loop_lag", deviations["speed_loop_lag"])
         self.trim = Following(io.role("trim"), trim_lag, trim_std, REACTION * trim_lag**2, limits.trim_rate, period)
+        self.momentum = Momentum(vehicle)
         self._height = parameters.trim_height
         self._period = period
         self._pole = parameters.unstable_pole
@@ -156,10 +205,11 @@ class MonocabWatch:
         """Begin again: an experiment starts."""
         self.gimbals.reset()
         self.trim.reset()
+        self.momentum.reset()
         self._roll_rate: float | None = None
         self._jumps.clear()
         self._jumped = 0.0
-        self.gimbal_following = self.trim_following = self.jump = self.recovery = 0.0
+        self.gimbal_following = self.trim_following = self.jump = self.gained = self.recovery = 0.0
 
     def update(self, lean: Lean, drives: GimbalMeasurement) -> None:
         """One cycle, before its setpoints are sent."""
@@ -169,16 +219,20 @@ class MonocabWatch:
         self.gimbals.update(lean.rate)
         self.trim.update(self._height * change / self._period - GRAVITY * lean.angle)
         self.gimbal_following, self.trim_following = self.gimbals.error, self.trim.error
-        self._watch_gyro(change)
+        explained = change - self._watch_gyro(change)
+        self.momentum.update(explained, lean.angle, drives.precession_rate, drives.trim_position)
+        self.gained = self.momentum.gained
         self._watch_recovery(lean, drives.precession)
 
-    def _watch_gyro(self, change: float) -> None:
-        """A wrong sample alone jumps there and back: the sum is not zero for one cycle, so that two cycles count."""
+    def _watch_gyro(self, change: float) -> float:
+        """The part of a change that is a jump. A wrong sample alone jumps there and back: the sum of jumps is not zero
+        for one cycle, so that two cycles count."""
         possible = self._acceleration * self._period + NOISE
         beyond = max(change - possible, 0.0) + min(change + possible, 0.0)
         self._jumps.append(beyond)
         last, self._jumped = self._jumped, sum(self._jumps)
         self.jump = min(abs(last), abs(self._jumped))
+        return beyond
 
     def _watch_recovery(self, lean: Lean, precession: float) -> None:
         falling = lean.angle + lean.rate / self._pole
