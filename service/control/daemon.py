@@ -239,7 +239,8 @@ class Daemon:
     def _publish_health(self) -> None:
         """Send the health of this process to the observer."""
         buses = self._buses.statistics() if self._buses is not None else []
-        self.observer.health(self._health.report(time.monotonic(), self.loop.cycles, self.loop.missed_cycles, buses))
+        report = self._health.report(time.monotonic(), self.loop.cycles, self.loop.missed_cycles, buses)
+        self.observer.health({**report, "nearest_limit": self.loop.nearest_limit()})
 
     async def _end_in_order(self) -> None:
         self.loop.end_experiment("the daemon is being stopped")
@@ -260,6 +261,7 @@ class Daemon:
             "drive_reports": [{**asdict(report), "state": report.state.value} for report in self.reports],
             "cycles": self.loop.cycles,
             "missed_cycles": self.loop.missed_cycles,
+            "nearest_limit": self.loop.nearest_limit(),
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
             "diagnosis": self.observer.diagnosis,

@@ -279,6 +279,11 @@ class ControlLoop:
         """What a person has been asked to do to the vehicle."""
         return self._asked
 
+    def nearest_limit(self) -> dict[str, Any] | None:
+        """The limit of which most is used, and how much; None without an experiment."""
+        found = self._safety.nearest(self._seen) if self.run is not None else None
+        return None if found is None else {"code": found[0].code.value, "percent": round(100.0 * found[1], 1)}
+
     def interlocks(self) -> list[str]:
         """The reasons that prevent an experiment, as sentences; empty if there are none."""
         match self.mode:

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from operator import attrgetter
 from typing import Any
 
@@ -97,6 +98,19 @@ class Safety:
         for bound in bounds:
             checks[bound.when].append((attrgetter(bound.of), bound.limit, bound))
         self._always, self._armed, self._balancing, self._upright = (tuple(checks[when]) for when in When)
+
+    def nearest(self, seen: Observation) -> tuple[Bound, float] | None:
+        """The bound, of those that are enforced now, of whose limit most is used, and that share; None if nothing is
+        known yet."""
+        enforced = [(True, self._always), (seen.armed, self._armed)]
+        enforced += [(seen.balancing, self._balancing), (seen.balancing and seen.upright, self._upright)]
+        found: tuple[Bound, float] | None = None
+        for now, checks in enforced:
+            for read, limit, bound in checks if now else ():
+                share = abs(read(seen)) / limit
+                if isfinite(share) and (found is None or share > found[1]):
+                    found = bound, share
+        return found
 
     def judge(self, seen: Observation) -> Verdict:
         """The verdict on one cycle; `OK` itself, without any allocation, if no check fails."""

@@ -79,6 +79,12 @@ class BusHealth(Message):
     error_frames: int
 
 
+class NearestLimit(Message):
+    code: str
+    percent: Number
+    """Of the limit that is used."""
+
+
 class Health(Message):
     cycles: int
     missed_cycles: int
@@ -87,6 +93,8 @@ class Health(Message):
     buses: list[BusHealth]
     longest_step: Number
     """s, the longest time between two cycles since the previous report."""
+    nearest_limit: NearestLimit | None = None
+    """The limit of which most is used while an experiment runs."""
 
 
 class Prediction(Message):

@@ -207,3 +207,16 @@ def test_hard_limit_takes_precedence_over_the_budget() -> None:
     seen = balancing()
     seen.axes = replace(STILL, precession=1.2)
     assert SAFETY.judge(seen).reaction is Reaction.STOP_NOW
+
+
+def test_nearest_limit_is_the_one_of_which_most_is_used() -> None:
+    seen = balancing()
+    seen.watched = SimpleNamespace(**{**vars(AS_MODELLED), "recovery": 0.35})
+    found = SAFETY.nearest(seen)
+    assert found is not None
+    bound, share = found
+    assert (bound.code, share) == (MonocabCode.RECOVERY, pytest.approx(0.5))
+    seen.upright = False
+    seen.angle = NAN
+    found = SAFETY.nearest(seen)
+    assert found is None or found[1] == 0.0

@@ -18,7 +18,7 @@ export class Live {
     this.refreshed = 0;
     this.events = [];
     this.interlocks = h("ul", { id: "interlocks" }, h("li", { class: "quiet" }, "No data from the vehicle yet."));
-    this.figures = Object.fromEntries(["rate", "missed", "longest", "load", "held"].map((name) => [name, h("dd", { id: `figure-${name}` }, "–")]));
+    this.figures = Object.fromEntries(["rate", "missed", "longest", "load", "held", "limit"].map((name) => [name, h("dd", { id: `figure-${name}` }, "–")]));
     this.now = Object.fromEntries(charts.map((chart) => [chart.id, h("output", { id: `value-${chart.id}` }, "–")]));
     this.log = h("ol", { id: "events", class: "log" });
     this.none = h("p", { class: "quiet" }, "None since this page was opened.");
@@ -36,7 +36,7 @@ export class Live {
         h("section", { class: "card", "aria-label": "Loop" }, h("h2", {}, "Control loop"), h("dl", {},
           h("dt", {}, "rate"), this.figures.rate, h("dt", {}, "missed cycles"), this.figures.missed,
           h("dt", {}, "longest step"), this.figures.longest, h("dt", {}, "bus load"), this.figures.load,
-          h("dt", {}, "held by"), this.figures.held)),
+          h("dt", {}, "held by"), this.figures.held, h("dt", {}, "nearest limit"), this.figures.limit)),
         h("section", { class: "card", "aria-label": "Events" }, h("h2", {}, "Events"), this.none, this.log)),
       h("div", { class: "charts" }, boxes));
   }
@@ -61,6 +61,8 @@ export class Live {
       text(this.figures.longest, typeof health.longest_step === "number" ? `${number(1e3 * health.longest_step, 3)} ms` : "–");
       text(this.figures.load, Array.isArray(health.buses) && health.buses.length
         ? health.buses.map((bus) => `${number(bus.load_percent, 3)} %`).join(", ") : "–");
+      const near = health.nearest_limit;
+      text(this.figures.limit, near ? `${near.code.replaceAll("_", " ")}, ${number(near.percent, 3)} % used` : "–");
     }
   }
 
