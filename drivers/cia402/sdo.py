@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import canopen
 
@@ -17,6 +19,9 @@ from telemetry.errors import UprightError
 
 ATTEMPTS = 3
 """Requests that are sent before a node counts as silent (0.3 s each)."""
+
+LONGEST = 64
+"""Bytes of an entry after which a node that always has one more segment is taken to be faulty."""
 
 NO_SUCH_OBJECT = frozenset({0x06020000, 0x06090011})
 """SDO abort codes for an index or a subindex that does not exist."""
@@ -67,16 +72,13 @@ class SdoDialogue:
             MissingNode, MissingObject: no answer, no such object.
             DriveSetupError: the drive refuses, or the object has another type.
         """
-        try:
-            with self._sdo.open(entry.index, entry.subindex, buffering=0) as stream:
-                size: int | None = stream.size
-                data = bytes(stream.read())
-        except canopen.SdoAbortedError as error:
-            raise self._aborted(entry, "reading", error) from error
-        except canopen.SdoCommunicationError as error:
-            raise self._silent(entry, error) from error
+        data = b""
+        with self._transfer(entry, "reading"), self._sdo.open(entry.index, entry.subindex, buffering=0) as stream:
+            size: int | None = stream.size
+            while len(data) <= LONGEST and (segment := stream.read(7)):
+                data += segment
         self._answered = True
-        if size is None:
+        if size is None and len(data) <= LONGEST:
             data = data[: entry.size]  # expedited without a size: four bytes, of which only the first are valid
         try:
             return entry.unpack(data)
@@ -97,12 +99,8 @@ class SdoDialogue:
 
     def write(self, entry: ObjectEntry, value: int) -> None:
         """Write `entry` without reading it first. Raises as `read`."""
-        try:
+        with self._transfer(entry, f"writing {value:#x}"):
             self._sdo.download(entry.index, entry.subindex, entry.pack(value))
-        except canopen.SdoAbortedError as error:
-            raise self._aborted(entry, f"writing {value:#x}", error) from error
-        except canopen.SdoCommunicationError as error:
-            raise self._silent(entry, error) from error
 
     def set(self, entry: ObjectEntry, value: int) -> None:
         """Make `entry` have `value`: written only if it differs, and read back.
@@ -136,6 +134,25 @@ class SdoDialogue:
     def refuse(self, message: str, *, entry: ObjectEntry | None = None, remedy: str) -> DriveSetupError:
         """The error to raise for a problem with this drive."""
         return DriveSetupError(self.config, message, entry=entry, remedy=remedy)
+
+    @contextmanager
+    def _transfer(self, entry: ObjectEntry, doing: str) -> Iterator[None]:
+        """Every way in which a transfer can fail, as a DriveSetupError."""
+        try:
+            yield
+        except canopen.SdoAbortedError as error:
+            raise self._aborted(entry, doing, error) from error
+        except canopen.SdoCommunicationError as error:
+            raise self._silent(entry, error) from error
+        except UprightError:
+            raise
+        except Exception as error:  # canopen takes an answer for well-formed, and fails in many ways where it is not
+            raise DriveSetupError(
+                self.config,
+                f"the answer to {doing} is not one of CiA 301 ({type(error).__name__}: {error})",
+                entry=entry,
+                remedy="Check that no other node has this node id, and that its SDO answers have eight bytes.",
+            ) from error
 
     def _aborted(self, entry: ObjectEntry, doing: str, error: canopen.SdoAbortedError) -> DriveSetupError:
         self._answered = True

@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import canopen
@@ -412,3 +413,51 @@ def test_sync_generation_by_the_drive_is_switched_off(network: canopen.Network, 
     configure(network, SERVO, SUPERVISION)
     assert device.get(0x1005) == 0x80
     assert struct.unpack("<I", device.node.get_data(0x1005, 0)) == (0x80,)
+
+
+class Stranger:
+    """In place of a drive: answers every SDO request with what `answer` makes of it."""
+
+    def __init__(self, network: Any, answer: Callable[[bytes], bytes]) -> None:
+        def reply(can_id: int, data: bytearray, timestamp: float) -> None:
+            network.send_message(0x580 + SERVO.node, answer(bytes(data)))
+
+        network.subscribe(0x600 + SERVO.node, reply)
+
+
+@pytest.fixture
+def other(request: pytest.FixtureRequest) -> Iterator[canopen.Network]:
+    with connected(request.node.name) as network:
+        yield network
+
+
+@pytest.mark.parametrize("length", range(1, 8))
+def test_short_sdo_answer_is_refused_with_its_object(
+    network: canopen.Network, other: canopen.Network, length: int
+) -> None:
+    Stranger(other, lambda request: (b"\x4b" + request[1:4] + bytes(4))[:length])
+    assert "device type (1000h:0)" in str(refused(network))
+
+
+def test_endless_sdo_answer_ends(network: canopen.Network, other: canopen.Network) -> None:
+    def segments(request: bytes) -> bytes:
+        return b"\x40" + request[1:4] + bytes(4) if request[0] == 0x40 else bytes((request[0] & 0x10,)) + bytes(7)
+
+    Stranger(other, segments)
+    assert "bytes in the drive, not 4" in str(refused(network))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_sdo_answer_whatever_raises_anything_but_a_set_up_error(
+    network: canopen.Network, other: canopen.Network, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SdoClient, "RESPONSE_TIMEOUT", 0.02)
+    monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
+    random = Random(seed)
+
+    def garbled(request: bytes) -> bytes:
+        head = bytes((random.choice((0x43, 0x4B, 0x4F, 0x60, 0x80, 0x40, 0x41, 0x00, 0x01, random.randrange(256))),))
+        return (head + request[1:4] + random.randbytes(4))[: random.choice((8, 8, 8, 8, random.randrange(9)))]
+
+    Stranger(other, garbled)
+    refused(network)
