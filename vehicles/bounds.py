@@ -32,6 +32,7 @@ class Code(StrEnum):
     DRIVE_NOT_ENABLED = "drive_not_enabled"
     DEADLINE = "deadline"
     OBSERVER_GONE = "observer_gone"
+    INTERNAL_ERROR = "internal_error"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -61,6 +62,7 @@ class Daemon:
     def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False) -> None:
         self.vehicle = vehicle
         self.places = places
+        self._log = logging.getLogger(__name__)
         self._notifier = Notifier.from_environment()
         self._stopping = asyncio.Event()
         self._bus_down = asyncio.Event()
@@ -175,6 +177,9 @@ class Daemon:
                     await self._set_up_drives()
                 except UprightError as error:
                     self.loop.set_up_failed(str(error))
+                except Exception as error:  # what a node answers must not end the daemon
+                    self._log.exception("the set-up failed")
+                    self.loop.set_up_failed(f"internal error: {type(error).__name__}: {error}; the log has more")
                 else:
                     self.loop.set_up_done({report.name: report.error_code for report in self.reports})
             self.loop.look_after_drives()

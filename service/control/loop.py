@@ -2,19 +2,23 @@
 
 The IMU frame set is the clock. When its last frame arrives, everything that depends on it is processed at once, in this
 order: roll filter, experiment (reference, excitation, controller), safety verdict, setpoint frames, SYNC, heartbeat,
-and one `Frame` for the observer. Nothing here waits, logs or reads a clock. A separate deadline timer detects that no
-frame set comes any more, and then stops the vehicle.
+and one `Frame` for the observer. Nothing here waits or reads a clock. A separate deadline timer detects that no frame
+set comes any more, and then stops the vehicle. An exception in a cycle stops it, too, and is the only thing that is
+logged here.
 """
 
 from __future__ import annotations
 
 import asyncio
+import logging
+import traceback
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any, Protocol
 
 from drivers.bus import BusDown
 from drivers.cia402.drive import Drive
+from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.vehicle_io import VehicleIo
 from estimators.imu_consistency import ImuConsistency
 from service.control import assembly
@@ -26,7 +30,7 @@ from service.control.sequence import ExperimentRun, plan
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame, ImuSample
 from vehicles import registry
-from vehicles.bounds import OK, Reaction, Verdict
+from vehicles.bounds import OK, Code, Reaction, Verdict
 from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
 from vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
 from vehicles.sections import LoadSection, TiltSection, VehicleFile
@@ -132,6 +136,7 @@ class ControlLoop:
         self._late_cycles = 0
         self._phase = Phase.NONE
         self._asked: LoadSection | TiltSection | None = None
+        self._failure_logged = False
 
     # The path of a sample
 
@@ -143,14 +148,18 @@ class ControlLoop:
         # More than one frame set at once means that this process was delayed. Only the last set is answered on the bus.
         waiting = sum(frame.can_id == self._last_imu_id for frame in frames) if len(frames) > 4 else 1
         for frame in frames:
-            if frame.timestamp_ns >= self._reset_at_ns:
-                self._begin_recording()
-            sample = handle(frame)
-            if sample is not None:
-                waiting -= 1
-                self._cycle(sample, late=waiting > 0)
-            elif not frame.error:
-                self._unclaimed(frame)
+            sample = None
+            try:
+                if frame.timestamp_ns >= self._reset_at_ns:
+                    self._begin_recording()
+                sample = handle(frame)
+                if sample is not None:
+                    waiting -= 1
+                    self._cycle(sample, late=waiting > 0)
+                elif not frame.error:
+                    self._unclaimed(frame)
+            except Exception as error:  # whatever it is, the vehicle is stopped in order and the process lives on
+                self._fail(error, answer=sample is not None)
 
     def _cycle(self, sample: ImuSample, *, late: bool) -> None:
         """One control cycle, from the sample to the setpoints on the bus and the frame for the observer."""
@@ -240,6 +249,21 @@ class ControlLoop:
             self._quick_stop_left -= dt
             return QUICK_STOP
         return IDLE
+
+    def _fail(self, error: Exception, *, answer: bool) -> None:
+        """An exception on the path of a sample: a latched fault, logged once. If the cycle ended with it, `answer` the
+        sample as `_after_run` does; if that fails as well, take the drives out of operation by NMT."""
+        if not self._failure_logged:
+            self._failure_logged = True
+            logging.getLogger(__name__).critical("a control cycle failed", exc_info=error)
+        try:
+            if self.run is not None or self.mode is not Mode.FAULT:
+                self.stop_now(_in_words(error), Code.INTERNAL_ERROR)
+            if answer:
+                self._transmit(self._after_run(self._period), self._last_ns)
+        except Exception:
+            for drive in self.io.drives:
+                self._send(*command_frame(NmtCommand.STOP, drive.config.node), self._last_ns)
 
     # Outside the path of a sample: commands, deadlines, loss and return of the bus
 
@@ -334,6 +358,7 @@ class ControlLoop:
             return f"{self.reason} is running; `upright stop` ends it."
         self._enter(Mode.STARTING, "starting", "setting up the drives")
         self._to_acknowledge.update(self.io.drives)
+        self._failure_logged = False
         self.needs_set_up = True
         return ""
 
@@ -434,13 +459,19 @@ class ControlLoop:
         """If there was no cycle since the last check, the IMU is silent: stop a run, and keep the drives supplied."""
         assert self._deadline is not None
         asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
+        try:
+            self._watch_silence(self._deadline)
+        except Exception as error:
+            self._fail(error, answer=True)
+
+    def _watch_silence(self, passed: float) -> None:
         if self.cycles != self._cycles_at_deadline:
             self._cycles_at_deadline = self.cycles
             self._silence = 0.0
             return
-        self._silence += self._deadline
+        self._silence += passed
         if self.run is not None:
-            self._seen.imu_age = max(self._silence, self._deadline + self._period)
+            self._seen.imu_age = max(self._silence, passed + self._period)
             self._seen.imu_health = self.io.imu.health(self._last_ns)
             self._seen.imu_text = self.io.imu.fault_text
             verdict = self._safety.judge(self._seen)
@@ -454,6 +485,15 @@ class ControlLoop:
             self._transmit(IDLE, self._last_ns)
             self._send(self._heartbeat_id, OPERATIONAL, self._last_ns)
             self._notifier.watchdog()
+
+
+def _in_words(error: Exception) -> str:
+    """An exception as the reason of a fault: what it is, and where it was raised."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"internal error in the control cycle: {type(error).__name__}: {error} "
+        f"({place.filename.rpartition('/')[2]}, line {place.lineno}); the log has the traceback, please report it"
+    )
 
 
 def _told(

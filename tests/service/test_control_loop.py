@@ -269,6 +269,53 @@ def test_only_the_last_of_several_late_cycles_is_answered() -> None:
     assert len(setpoints) == 1
 
 
+class TestAnException:
+    """Whatever is raised on the path of a sample stops the vehicle like any other fault."""
+
+    @pytest.fixture
+    def upright(self) -> ClosedLoop:
+        closed = ClosedLoop()
+        closed.loop.start_experiment("hold")
+        closed.advance(10.0)
+        return closed
+
+    @staticmethod
+    def raising(*arguments: object) -> object:
+        raise ZeroDivisionError("division by zero")
+
+    def test_in_one_cycle_is_a_latched_fault_with_a_reason_and_one_log_entry(
+        self, upright: ClosedLoop, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        loop = upright.loop
+        with monkeypatch.context() as broken:
+            broken.setattr(loop.kind, "measure", self.raising)
+            upright.advance(1.5)
+        assert (loop.mode, loop.code) == (Mode.FAULT, "internal_error")
+        assert "ZeroDivisionError: division by zero (test_control_loop.py, line" in loop.reason
+        assert [record.exc_info is not None for record in caplog.records] == [True]
+        upright.advance(1.0)
+        assert loop.io.state is State.SWITCH_ON_DISABLED
+        assert loop.reset_fault() == ""
+
+    @pytest.mark.parametrize("place", ["_judge", "_decide", "_transmit"])
+    def test_wherever_it_is_raised_the_drives_are_off(
+        self, upright: ClosedLoop, place: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(upright.loop, place, self.raising)
+        upright.advance(3.0)
+        assert upright.loop.mode is Mode.FAULT
+        states = {drive.state.name for drive in upright.plant_side.drives.values()}
+        assert not states & {"OPERATION_ENABLED", "QUICK_STOP_ACTIVE"}, states
+
+    def test_in_a_disarmed_vehicle_is_latched_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        closed = ClosedLoop()
+        with monkeypatch.context() as broken:
+            broken.setattr(closed.loop, "_judge", self.raising)
+            closed.advance(0.1)
+        assert closed.loop.code == "internal_error"
+        assert [code for _, code, _ in closed.witness.events] == ["internal_error"]
+
+
 def test_loss_of_the_observer_ends_the_experiment_in_order() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
