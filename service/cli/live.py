@@ -244,8 +244,9 @@ def serve(
     async def run() -> None:
         daemon = Daemon(file, places, lock_step=virtual)
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, daemon.stop)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup, where a closed terminal ends nothing
+                loop.add_signal_handler(number, daemon.stop)
         people.print(
             f"Serving {file.vehicle.id} on {drives}" + (f" and {imu}" if imu != drives else "") + ", disarmed."
         )

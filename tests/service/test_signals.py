@@ -1,0 +1,69 @@
+"""Signals to `upright serve`: every one that ends it ends it in order, as a client on the control socket sees."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from service.control.api import ApiError, call
+
+SERVE = "from service.cli import main; main()"
+
+
+@contextmanager
+def serve(folder: Path, *before: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A daemon with a virtual vehicle, once it answers."""
+    place = ["--data", str(folder), "--socket", str(folder / "s.sock")]
+    log = (folder / "log").open("wb")
+    daemon = subprocess.Popen(
+        [*before, sys.executable, "-c", SERVE, "serve", "monocab", "--virtual", *place], stderr=log
+    )
+    try:
+        until(lambda: (folder / "s.sock").exists())
+        yield daemon
+    finally:
+        daemon.kill()
+        daemon.wait()
+        log.close()
+
+
+def until(what: object, seconds: float = 40.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():  # type: ignore[operator]
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.1)
+
+
+def status(folder: Path) -> dict[str, object]:
+    found: dict[str, object] = list(call([folder / "s.sock"], {"verb": "status"}))[-1]["status"]
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
+def test_vehicle_is_lowered_before_the_daemon_ends(tmp_path: Path, number: signal.Signals) -> None:
+    with serve(tmp_path) as daemon:
+        until(lambda: not status(tmp_path)["interlocks"])
+        phases: list[str] = []
+        with suppress(ApiError):  # it closes its socket when the vehicle is down
+            for message in call([tmp_path / "s.sock"], {"verb": "experiment", "name": "hold"}, timeout=60.0):
+                if message["type"] == "progress" and message["phase"] not in phases:
+                    phases.append(message["phase"])
+                    if message["phase"] == "settle":
+                        daemon.send_signal(number)
+        assert phases[-3:-1] == ["settle", "lower"] or phases[-4:-2] == ["settle", "lower"], phases
+        assert daemon.wait(30) == 0
+
+
+def test_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
+    with serve(tmp_path, "nohup") as daemon:
+        daemon.send_signal(signal.SIGHUP)
+        time.sleep(0.5)
+        assert status(tmp_path)["vehicle"] == "monocab"
+        assert daemon.poll() is None
