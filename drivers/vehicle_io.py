@@ -6,7 +6,7 @@ values mean for one kind of vehicle (a precession rate, a wheel angle) is define
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State
@@ -28,6 +28,16 @@ class VehicleIo:
         for can_id in imu.can_ids:
             self._handlers[can_id] = self._handle_imu
         self._sample: ImuSample | None = None
+
+    def watch(self, can_ids: Iterable[int], handler: Callable[[CanFrame], None]) -> None:
+        """Give the frames with these ids to `handler` from now on, except those of the IMU.
+
+        For live operation: there, a frame with an id of our own is from somebody else, and says nothing of what we have
+        sent. In a raw log, it is our own.
+        """
+        for can_id in can_ids:
+            if can_id not in self.imu.can_ids:
+                self._handlers[can_id] = handler
 
     @property
     def can_ids(self) -> tuple[int, ...]:

@@ -14,6 +14,7 @@ class Reaction(Enum):
     CONTINUE = "continue"
     END_EXPERIMENT = "end the experiment in order"
     STOP_NOW = "quick stop"
+    CUT_OFF = "quick stop, and the drives taken out of operation over every other path"
 
 
 class Code(StrEnum):
@@ -31,6 +32,8 @@ class Code(StrEnum):
     DRIVE_RESTARTED = "drive_restarted"
     DRIVE_NOT_ENABLED = "drive_not_enabled"
     DEADLINE = "deadline"
+    FOREIGN_MASTER = "foreign_master"
+    FOREIGN_SDO = "foreign_sdo"
     OBSERVER_GONE = "observer_gone"
     INTERNAL_ERROR = "internal_error"
 
@@ -109,6 +112,10 @@ class Bound:
 
 def stop(code: StrEnum, text: str) -> Verdict:
     return Verdict(code, Reaction.STOP_NOW, text)
+
+
+def end(code: StrEnum, text: str) -> Verdict:
+    return Verdict(code, Reaction.END_EXPERIMENT, text)
 
 
 IMU_CONTRADICTION = Bound(

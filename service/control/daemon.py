@@ -171,7 +171,7 @@ class Daemon:
                 await self._reopen_buses()
             if not self.observer.alive:
                 await self.observer.restart()
-            if self.loop.needs_set_up:
+            if self.loop.needs_set_up and not self.loop.cut_off:
                 try:
                     await self._check_imu()
                     await self._set_up_drives()
@@ -267,6 +267,7 @@ class Daemon:
             "cycles": self.loop.cycles,
             "missed_cycles": self.loop.missed_cycles,
             "nearest_limit": self.loop.nearest_limit(),
+            "foreign": self.loop.foreign.statistics(),
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
             "diagnosis": self.observer.diagnosis,

@@ -19,11 +19,12 @@ from typing import Any, Protocol
 from drivers.bus import BusDown
 from drivers.cia402.drive import Drive
 from drivers.cia402.nmt import NmtCommand, command_frame
+from drivers.foreign import REMEDY, ForeignTraffic
 from drivers.vehicle_io import VehicleIo
 from estimators.imu_consistency import ImuConsistency
 from service.control import assembly
 from service.control.notify import Notifier
-from service.control.readiness import interlocks, observation, observe
+from service.control.readiness import interlocks, observation, observe, strangers
 from service.control.rows import row
 from service.control.safety import Safety
 from service.control.sequence import ExperimentRun, plan
@@ -94,6 +95,11 @@ class ControlLoop:
     ) -> None:
         self.vehicle = vehicle
         self.io: VehicleIo = assembly.vehicle_io(vehicle)
+        self.foreign = ForeignTraffic(self.io.drives, vehicle.control.master_node)
+        """What somebody else sends with the ids of this service."""
+        self.io.watch(self.foreign.can_ids, self.foreign.handle)
+        self.cut_off = False
+        """Whether the drives have been taken out of operation, until the next reset: somebody else commands them."""
         self.kind: Kind[Any] = registry.kind_of(vehicle, self.io)
         self.mode = Mode.STARTING
         self.code = "starting"
@@ -210,6 +216,7 @@ class ControlLoop:
         seen.rate = lean.rate
         seen.setpoint = command.setpoint
         seen.late_cycles = self._late_cycles
+        self._observe_strangers()
         # After a silence of the service the drives stop by themselves: that is what the experiment wants to see.
         watched = run is not None and not run.leaves_drives_alone
         seen.armed = watched and run is not None and run.phase > Phase.REST
@@ -218,12 +225,21 @@ class ControlLoop:
         seen.upright = run is not None and run.phase in UPRIGHT
         return self._safety.judge(seen)
 
+    def _observe_strangers(self) -> None:
+        seen, foreign, run = self._seen, self.foreign, self.run
+        command, request = (foreign.command, foreign.request) if run is not None else (None, None)
+        seen.foreign_command = f"{command.text}; {REMEDY}" if command is not None else ""
+        seen.foreign_request = f"{request.text}; {REMEDY}" if request is not None else ""
+
     def _react(self, verdict: Verdict, command: Command) -> Command:
         if self.run is None:
             return command
         if verdict.reaction is Reaction.END_EXPERIMENT:
             self.end_experiment(verdict.text)
             return command
+        if verdict.reaction is Reaction.CUT_OFF:
+            self.cut_off = True
+            self._heartbeat_due = self.cycles
         self.stop_now(verdict.text, verdict.code.value)
         return QUICK_STOP
 
@@ -237,7 +253,15 @@ class ControlLoop:
         send(SYNC, b"", now_ns)
         if self.cycles >= self._heartbeat_due:
             self._heartbeat_due = self.cycles + self._heartbeat_cycles
-            send(self._heartbeat_id, OPERATIONAL, now_ns)
+            self._send_heartbeat(now_ns)
+
+    def _send_heartbeat(self, now_ns: int) -> None:
+        """The heartbeat, or in its place, for drives that somebody else commands, the command to stop."""
+        if not self.cut_off:
+            self._send(self._heartbeat_id, OPERATIONAL, now_ns)
+            return
+        for drive in self.io.drives:
+            self._send(*command_frame(NmtCommand.STOP, drive.config.node), now_ns)
 
     def _after_run(self, dt: float) -> Command:
         """The command without an experiment: complete a quick stop and its recording, else keep the drives off."""
@@ -262,8 +286,8 @@ class ControlLoop:
             if answer:
                 self._transmit(self._after_run(self._period), self._last_ns)
         except Exception:
-            for drive in self.io.drives:
-                self._send(*command_frame(NmtCommand.STOP, drive.config.node), self._last_ns)
+            self.cut_off = True
+            self._send_heartbeat(self._last_ns)
 
     # Outside the path of a sample: commands, deadlines, loss and return of the bus
 
@@ -274,6 +298,7 @@ class ControlLoop:
 
     def start_experiment(self, name: str) -> ExperimentRun:
         """Start an experiment and its recording. Only allowed while `interlocks()` is empty."""
+        self.foreign.forget()
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
         self._phase = run.phase
         self.kind.watch.reset()
@@ -299,6 +324,11 @@ class ControlLoop:
         self._observer.event("error", code, reason)
 
     @property
+    def _now_ns(self) -> int:
+        """Time of the latest sample, and what has passed since then without one."""
+        return self._last_ns + round(self._silence * 1e9)
+
+    @property
     def asked(self) -> LoadSection | TiltSection | None:
         """What a person has been asked to do to the vehicle."""
         return self._asked
@@ -322,7 +352,7 @@ class ControlLoop:
             case Mode.DISARMED if not self._observer.ready:
                 return ["The observer process is not ready: nothing would be recorded."]
             case Mode.DISARMED:
-                return interlocks(
+                return strangers(self.foreign, self._now_ns) + interlocks(
                     self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence
                 )
 
@@ -356,6 +386,9 @@ class ControlLoop:
         """Acknowledge a fault: set up the drives again and reset their faults. Returns the reason if refused, or ""."""
         if self.mode is Mode.RUNNING:
             return f"{self.reason} is running; `upright stop` ends it."
+        if self.cut_off and (others := strangers(self.foreign, self._now_ns)):
+            return " ".join(others)
+        self.cut_off = False
         self._enter(Mode.STARTING, "starting", "setting up the drives")
         self._to_acknowledge.update(self.io.drives)
         self._failure_logged = False
@@ -483,7 +516,7 @@ class ControlLoop:
         elif self.mode is not Mode.RUNNING:
             self._quick_stop_left = 0.0
             self._transmit(IDLE, self._last_ns)
-            self._send(self._heartbeat_id, OPERATIONAL, self._last_ns)
+            self._send_heartbeat(self._last_ns)
             self._notifier.watchdog()
 
 

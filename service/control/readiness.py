@@ -6,6 +6,7 @@ from math import degrees
 from typing import Any
 
 from drivers.cia402.states import State
+from drivers.foreign import REMEDY, ForeignTraffic
 from drivers.imu import ImuHealth
 from drivers.vehicle_io import VehicleIo
 from service.control.safety import DriveObservation, Observation
@@ -65,6 +66,11 @@ def interlocks(
         elif measured.timestamp_ns == 0 or (now_ns - drive.timestamp_ns) * 1e-9 > 10 * vehicle.period:
             found.append(f"Drive {drive.last_wrong_length or drive.condition + ': no answer'}.")
     return found + kind.interlocks(measured)
+
+
+def strangers(foreign: ForeignTraffic, now_ns: int) -> list[str]:
+    """Who else sends what only this service may send, each as a sentence with the remedy."""
+    return [f"{each.text[:1].upper()}{each.text[1:]}: {REMEDY}." for each in foreign.active(now_ns)]
 
 
 def drive_states(io: VehicleIo) -> list[dict[str, str]]:

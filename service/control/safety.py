@@ -5,15 +5,17 @@ reason as text with numbers and units, and the reaction.
 
     END_EXPERIMENT   in order: the excitation stops, the controller lowers the vehicle onto a support
     STOP_NOW         quick stop of every drive: the vehicle falls onto its supports
+    CUT_OFF          the same, and NMT stop and no heartbeat any more: somebody else commands the drives
 
 If the vehicle is still controllable, the run ends in order. If it is not (no angle, no drive, a limit reached), it
 stops now, since a quick stop causes a fall of a few degrees at most. The worst is checked first: a later check may
 depend on the earlier ones.
 
-    always           IMU alive and sane, the angles of the fall finite and within bounds
+    always           no second master, IMU alive and sane, the angles of the fall finite and within bounds
     armed            drives answer, no emergency, no restart, every axis and the setpoint within bounds, cycles in time
     should_run       every drive is in Operation enabled
     balancing        budgets left, observer alive
+    armed, last      what only ends a run in order: somebody else reads or changes the set-up of the drives
     upright          not fallen
 
 IMU and drives are the same for every vehicle. All other checks are data: `Bound`s, which each kind of vehicle derives
@@ -29,7 +31,7 @@ from operator import attrgetter
 from typing import Any
 
 from drivers.imu import ImuHealth
-from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, stop
+from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
 
 @dataclass(slots=True)
@@ -52,7 +54,8 @@ class Observation:
     IMU driver; `late_cycles` consecutive cycles came too late to command the drives; `angle` (rad) and `rate` (rad/s)
     are those of the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the
     kind of vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
-    standard deviations. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
+    standard deviations; `foreign_command` and `foreign_request` say what somebody else sends with our ids, "" if nobody
+    does. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
     """
 
     drives: tuple[DriveObservation, ...] = ()
@@ -70,6 +73,8 @@ class Observation:
     watched: Any = None
     contradiction: float = 0.0
     late_cycles: int = 0
+    foreign_command: str = ""
+    foreign_request: str = ""
     observer_alive: bool = True
 
 
@@ -114,6 +119,8 @@ class Safety:
 
     def judge(self, seen: Observation) -> Verdict:
         """The verdict on one cycle; `OK` itself, without any allocation, if no check fails."""
+        if seen.foreign_command:
+            return Verdict(Code.FOREIGN_MASTER, Reaction.CUT_OFF, seen.foreign_command)
         if not seen.imu_age <= self._longest_silence:
             return stop(
                 Code.IMU_SILENT,
@@ -143,19 +150,18 @@ class Safety:
                 Code.DEADLINE,
                 f"{seen.late_cycles} control cycles in a row were late for their {self.period * 1e3:g} ms",
             )
-        if not seen.balancing:
-            return OK
-        if seen.upright:
-            for read, limit, bound in self._upright:
+        if seen.balancing:
+            if seen.upright:
+                for read, limit, bound in self._upright:
+                    if not -limit <= read(seen) <= limit:
+                        return bound.verdict(read(seen))
+            for read, limit, bound in self._balancing:
                 if not -limit <= read(seen) <= limit:
                     return bound.verdict(read(seen))
-        for read, limit, bound in self._balancing:
-            if not -limit <= read(seen) <= limit:
-                return bound.verdict(read(seen))
-        if not seen.observer_alive:
-            return Verdict(
-                Code.OBSERVER_GONE, Reaction.END_EXPERIMENT, "the observer process ended: nothing is recorded any more"
-            )
+            if not seen.observer_alive:
+                return end(Code.OBSERVER_GONE, "the observer process ended: nothing is recorded any more")
+        if seen.foreign_request:
+            return end(Code.FOREIGN_SDO, seen.foreign_request)
         return OK
 
     def _drive_fault(self, drive: DriveObservation) -> Verdict:
