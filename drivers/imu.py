@@ -1,13 +1,15 @@
 """The LPMS-IG1 on the bus: complete frame sets, and whether its readings can be trusted.
 
 The device sends no counter, no timestamp and no checksum, so only the host's receive times are available: the first id
-opens a set, and the last publishes it if every frame came once, in order and within three quarters of a period (frames
-of two sets, joined by a loss, lie a whole period apart). Everything else is dropped and counted. Nothing here reads a
-clock. Output is in vehicle axes and SI units (`telemetry.samples.ImuSample`).
+opens a set, and the last publishes it if every frame came, in order and within three quarters of a period (frames of
+two sets, joined by a loss, lie a whole period apart). Copies of the frames of a set are left out, and the set goes on.
+Everything else is dropped and counted. Nothing here reads a clock. Output is in vehicle axes and SI units
+(`telemetry.samples.ImuSample`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -16,6 +18,9 @@ from telemetry.samples import CanFrame, ImuSample
 
 LONGEST_SET = 0.75
 """Periods from the first to the last frame of a set."""
+
+SHORTEST_INTERVAL = 0.25
+"""Periods between two sets; the same content in a shorter interval is a copy of the set."""
 
 LONGEST_INTERVAL = 1.5
 """Periods between two sets; a longer interval is a gap."""
@@ -42,7 +47,8 @@ class ImuHealth(Enum):
 class ImuStatistics:
     """Counts since the driver was created.
 
-    `sets`: published. Dropped: `incomplete` (a frame missing or out of order), `duplicates` (a frame twice),
+    `sets`: published. Left out: `duplicates` (frames that are copies). Dropped: `incomplete` (a frame missing, out of
+    order, or twice with another content),
     `late` (frames too far apart to be of one set), `wrong_length`, `out_of_range` (or not a finite number). `gaps` are
     intervals above 1.5 periods or backwards in time, `stuck` the sets that repeated the one before implausibly often.
     """
@@ -72,13 +78,13 @@ class Imu:
         self._places = {can_id: place for place, can_id in enumerate(self.can_ids)}
         self._latency_ns = round(config.latency * 1e9)
         self._longest_set_ns = round(LONGEST_SET / config.rate * 1e9)
+        self._shortest_interval_ns = round(SHORTEST_INTERVAL / config.rate * 1e9)
         self._longest_interval_ns = round(LONGEST_INTERVAL / config.rate * 1e9)
         self._stuck_sets = STUCK_SETS[config.precision]
         self._payloads = [b""] * config.frames
         self._next = _WAITING
-        self._previous = _WAITING
-        self._previous_ns = 0
         self._first_ns = 0
+        self._ended_ns = 0
         self._start_ns = 0
         self._sample: ImuSample | None = None
         self._repeats = 0
@@ -89,15 +95,17 @@ class Imu:
         place = self._places.get(frame.can_id)
         if place is None or frame.timestamp_ns < self._start_ns:
             return None
-        again = place == self._previous and frame.timestamp_ns - self._previous_ns <= self._longest_set_ns
-        self._previous, self._previous_ns = place, frame.timestamp_ns
+        came = place < self._next or self._next == 0 < place  # in this set, or in the one that is complete
+        if came and frame.data == self._payloads[place] and frame.timestamp_ns - self._first_ns <= self._longest_set_ns:
+            self.statistics.duplicates += 1
+            return None
         if place == 0:
             if self._next > 0:
-                self._count_broken(again)
+                self.statistics.incomplete += 1
             self._first_ns = frame.timestamp_ns
         elif place != self._next:
             if self._next != _WAITING:
-                self._count_broken(again)
+                self.statistics.incomplete += 1
                 self._next = _WAITING
             return None
         if len(frame.data) not in self._layout.lengths[place]:
@@ -108,10 +116,20 @@ class Imu:
             self._next = place + 1
             return None
         self._next = 0
+        self._ended_ns = frame.timestamp_ns
         if frame.timestamp_ns - self._first_ns > self._longest_set_ns:
             self.statistics.late += 1
             return None
         return self._publish(frame.timestamp_ns)
+
+    def ends(self, frames: Iterable[CanFrame]) -> int:
+        """How many sets end among `frames`, which are to be handled next. A copy of a last frame is none."""
+        count, data, received_ns = 0, self._payloads[-1], self._ended_ns
+        for frame in frames:
+            if frame.can_id == self.can_ids[-1]:
+                count += frame.data != data or frame.timestamp_ns - received_ns > self._longest_set_ns
+                data, received_ns = frame.data, frame.timestamp_ns
+        return count
 
     def _publish(self, received_ns: int) -> ImuSample | None:
         acceleration, angular_rate = self._layout.decode(b"".join(self._payloads))
@@ -134,9 +152,14 @@ class Imu:
         last = self._sample
         self._content = ImuHealth.OK
         if last is not None:
-            if not 0 < sample.timestamp_ns - last.timestamp_ns <= self._longest_interval_ns:
+            interval_ns = sample.timestamp_ns - last.timestamp_ns
+            same = angular_rate == last.angular_rate and acceleration == last.acceleration
+            if same and 0 <= interval_ns < self._shortest_interval_ns:
+                self.statistics.duplicates += len(self._payloads)
+                return None
+            if not 0 < interval_ns <= self._longest_interval_ns:
                 self.statistics.gaps += 1
-            if angular_rate == last.angular_rate and acceleration == last.acceleration:
+            if same:
                 self._repeats += 1
                 if self._repeats >= self._stuck_sets - 1:
                     self.statistics.stuck += 1
@@ -146,12 +169,6 @@ class Imu:
         self.statistics.sets += 1
         self._sample = sample
         return sample
-
-    def _count_broken(self, duplicate: bool) -> None:
-        if duplicate:
-            self.statistics.duplicates += 1
-        else:
-            self.statistics.incomplete += 1
 
     def _refuse_length(self, frame: CanFrame, place: int) -> None:
         self._next = _WAITING

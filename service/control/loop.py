@@ -125,7 +125,6 @@ class ControlLoop:
         self._notifier = notifier
         self._unclaimed = unclaimed
         self._period = vehicle.period
-        self._last_imu_id = self.io.imu.can_ids[-1]
         self._heartbeat_id = HEARTBEAT + vehicle.control.master_node
         self._heartbeat_cycles = max(1, int(vehicle.control.heartbeat_period * vehicle.control.rate))
         self._heartbeat_due = 0
@@ -152,7 +151,7 @@ class ControlLoop:
             self.heard.extend(frames)
         handle = self.io.handle
         # More than one frame set at once means that this process was delayed. Only the last set is answered on the bus.
-        waiting = sum(frame.can_id == self._last_imu_id for frame in frames) if len(frames) > 4 else 1
+        waiting = self.io.imu.ends(frames) if len(frames) > 4 else 1
         for frame in frames:
             sample = None
             try:

@@ -210,7 +210,11 @@ def test_complete_sets_are_decoded_and_foreign_frames_are_ignored() -> None:
         ((0, 1), 0, 1, 0),
         ((0, 2, 1), 0, 1, 0),
         ((2, 1, 0), 0, 2, 0),
-        ((0, 1, 1, 2), 0, 0, 1),
+        ((0, 1, 1, 2), 1, 0, 1),
+        ((0, 1, 0, 2), 1, 0, 1),
+        ((0, 1, 2, 1), 1, 0, 1),
+        ((0, 0, 1, 1, 2, 2), 1, 0, 3),
+        ((0, 1, 2, 0, 1, 2), 1, 0, 3),
         ((0, 0, 1, 2), 1, 0, 1),
         ((0, 1, 2, 2), 1, 0, 1),
         ((), 0, 0, 0),
@@ -228,6 +232,23 @@ def test_only_complete_sets_in_order_are_used(
     assert (imu.statistics.incomplete, imu.statistics.duplicates) == (incomplete, duplicates)
     assert imu.statistics.sets == 2 + published
     assert imu.statistics.gaps == 1 - published
+
+
+def test_frame_twice_with_another_content_breaks_its_set() -> None:
+    imu = Imu(CANOPEN)
+    first, second, third = frames_at(0)
+    other = CanFrame(second.timestamp_ns, second.can_id, bytes(reversed(second.data)))
+    assert feed(imu, [first, second, other, third]) == []
+    assert (imu.statistics.incomplete, imu.statistics.duplicates) == (1, 0)
+
+
+def test_copies_are_no_further_sets_of_a_backlog() -> None:
+    imu = Imu(CANOPEN)
+    backlog = [frame for number in range(3) for frame in frames_at(number)]
+    doubled = [frame for frame in backlog for _ in range(2)]
+    assert imu.ends(backlog) == imu.ends(doubled) == 3
+    feed(imu, doubled[:-1])
+    assert imu.ends(doubled[-1:]) == 0
 
 
 def test_frames_of_two_sets_are_not_joined() -> None:

@@ -124,3 +124,19 @@ def test_sdo_request_of_somebody_else_ends_the_experiment_in_order() -> None:
     assert closed.loop.mode is Mode.DISARMED
     assert "602h, an SDO request to drive gimbal_right (node 2)" in closed.loop.reason
     assert closed.loop.io.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("copied", ["frames", "sets"])
+def test_everything_twice_changes_nothing(copied: str) -> None:
+    closed = ClosedLoop()
+    deliver = closed.loop.on_frames
+
+    def twice(frames: list[CanFrame]) -> None:
+        deliver(frames + frames if copied == "sets" else [frame for frame in frames for _ in range(2)])
+
+    closed.loop.on_frames = twice  # type: ignore[method-assign]
+    missed = closed.loop.missed_cycles
+    closed.run("hold")
+    assert (closed.loop.mode, closed.loop.reason) == (Mode.DISARMED, "")
+    assert closed.loop.missed_cycles == missed
+    assert closed.loop.io.imu.statistics.duplicates > 3 * 1000
