@@ -36,7 +36,8 @@ class Drive:
         position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first value.
         setpoint: axis unit/s, N m or V, as the drive resolves it from the frame that was sent (in replay: read) last.
         controlword: as sent (in replay: read) last.
-        *_timestamp_ns: receive time of the frame that contained the value, 0 before the first.
+        *_timestamp_ns: receive time of the frame that contained the value, 0 before the first; of the heartbeat, since
+            the drive has booted.
         nmt_state: of the last heartbeat, None before.
         mode_display: 6061h if it is mapped, else None.
         emergency: the active EMCY, None if there is none or it was cleared; last_emergency, emergency_count: of all.
@@ -65,6 +66,7 @@ class Drive:
         self.clipped = 0
         self._reset: FaultReset | None = None
         self._configured = False
+        self._advice = self._advised = 0
 
         self._position_unit = config.direction * config.axis_per_turn / config.increments_per_turn
         self._velocity_unit = config.velocity_unit
@@ -123,6 +125,17 @@ class Drive:
         if self.state is not State.FAULT_REACTION_ACTIVE and not self.request_fault_reset():
             self.emergency = None
         return self.state is not State.FAULT_REACTION_ACTIVE
+
+    def new_advice(self) -> tuple[str, ...]:
+        """The warnings in the statusword since the last call that were not there in the time before it, by name."""
+        fresh = self._advice & ~self._advised
+        self._advised, self._advice = self._advice, 0
+        return states.flags(fresh)
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """The warnings in the last statusword, by name."""
+        return states.flags((self.statusword or 0) & states.ADVISORY)
 
     @property
     def can_ids(self) -> tuple[int, ...]:
@@ -252,6 +265,7 @@ class Drive:
         self.statusword = raw
         self.statusword_timestamp_ns = timestamp_ns
         self.state = state = states.classify(raw)
+        self._advice |= raw & states.ADVISORY
         # Enable operation is sent only after Switched on was seen, so any way back from there is uncommanded.
         commanded = self.controlword & states.ENABLE_OPERATION == states.ENABLE_OPERATION
         fell = before is State.OPERATION_ENABLED or state is not State.SWITCHED_ON
@@ -303,6 +317,8 @@ class Drive:
             return
         self.heartbeat_timestamp_ns = frame.timestamp_ns
         self.nmt_state = nmt.NMT_STATES.get(frame.data[0] & 0x7F)  # bit 7 is the toggle bit of node guarding
+        if self.nmt_state is NmtState.BOOT_UP:
+            self.heartbeat_timestamp_ns = 0
         if self.nmt_state is NmtState.BOOT_UP and (self._configured or self.statusword is not None):
             self.restarted = True
             self._configured = False

@@ -151,6 +151,11 @@ def describe(code: int) -> str:
     return f"{code:04X}h unknown error"
 
 
+def of_communication(code: int) -> bool:
+    """Whether an error code says that the drive has missed its master: heartbeat, setpoints or SYNC (81xxh, 82xxh)."""
+    return code & 0xFF00 in (0x8100, 0x8200)
+
+
 def register_bits(error_register: int) -> tuple[str, ...]:
     """Names of the bits that are set in an error register (1001h)."""
     return tuple(name for bit, name in enumerate(ERROR_REGISTER_BITS) if error_register >> bit & 1)

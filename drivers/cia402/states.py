@@ -41,6 +41,11 @@ _BY_BITS = tuple(
     for bits in range(_STATE_BITS + 1)
 )
 
+VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT = 0x0010, 0x0080, 0x0200, 0x0800
+"""Bits of the statusword: without the first there is no torque in any state, without the third the drive does not
+follow the controlword; the other two announce something while the drive goes on."""
+ADVISORY = WARNING | INTERNAL_LIMIT
+
 FLAGS: tuple[tuple[int, str], ...] = (
     (4, "voltage enabled"),
     (7, "warning"),

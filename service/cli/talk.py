@@ -115,7 +115,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
     for interlock in answer["interlocks"]:
         page.print(f"  not ready: {interlock}")
     for drive in answer["drives"]:
-        page.print(f"  {drive['name']}: {drive['state']}{'  ' + drive['fault'] if drive['fault'] else ''}")
+        page.print("  ".join([f"  {drive['name']}: {drive['state']}", drive["fault"], *drive["warnings"]]).rstrip())
     if answer["estimates"]:
         page.print(live_estimates(answer["estimates"]))
         page.print(missing_effects(answer["diagnosis"]))

@@ -18,13 +18,14 @@ from typing import Any, Protocol
 
 from drivers.bus import BusDown
 from drivers.cia402.drive import Drive
+from drivers.cia402.emergency import of_communication
 from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.foreign import REMEDY, ForeignTraffic
 from drivers.vehicle_io import VehicleIo
 from estimators.imu_consistency import ImuConsistency
 from service.control import assembly
 from service.control.notify import Notifier
-from service.control.readiness import interlocks, observation, observe, strangers
+from service.control.readiness import heartbeat_timeout, interlocks, observation, observe, strangers
 from service.control.rows import row
 from service.control.safety import Safety
 from service.control.sequence import ExperimentRun, plan
@@ -39,8 +40,6 @@ from vehicles.sections import LoadSection, TiltSection, VehicleFile
 SYNC = 0x080
 HEARTBEAT = 0x700
 OPERATIONAL = b"\x05"
-COMMUNICATION_ERRORS = (0x8100, 0x8200)
-"""Error codes of a drive that missed the master's heartbeat or setpoints (CiA 301), high byte."""
 NEVER_NS = 1 << 62
 
 RECORDING_LEAD_NS = 200_000_000
@@ -117,7 +116,12 @@ class ControlLoop:
         self._filter = assembly.roll_filter(vehicle)
         self._pilot = self.kind.pilot()
         self._consistency = ImuConsistency(float(vehicle.control.rate), vehicle.imu.filter.acceleration_std)
-        self._safety = Safety(self.kind.bounds, missed_cycles=vehicle.limits.missed_cycles, period=vehicle.period)
+        self._safety = Safety(
+            self.kind.bounds,
+            missed_cycles=vehicle.limits.missed_cycles,
+            period=vehicle.period,
+            heartbeat_timeout=heartbeat_timeout(vehicle),
+        )
         self._seen = observation(self.io)
         self._seen.watched = self.kind.watch
         self._send = send
@@ -142,6 +146,7 @@ class ControlLoop:
         self._phase = Phase.NONE
         self._asked: LoadSection | TiltSection | None = None
         self._failure_logged = False
+        self._end_code = ""
 
     # The path of a sample
 
@@ -203,7 +208,7 @@ class ControlLoop:
         if run.asked is not self._asked:
             self._announce(run.asked)
         if run.done:
-            self._finish_run(Mode.DISARMED, "done", run.failure or run.end_reason)
+            self._finish_run(Mode.DISARMED, self._end_code, run.failure or run.end_reason)
         return command
 
     def _judge(self, now_ns: int, elapsed: float, lean: Lean, drives: Measurement, command: Command) -> Verdict:
@@ -234,7 +239,7 @@ class ControlLoop:
         if self.run is None:
             return command
         if verdict.reaction is Reaction.END_EXPERIMENT:
-            self.end_experiment(verdict.text)
+            self.end_experiment(verdict.text, verdict.code.value)
             return command
         if verdict.reaction is Reaction.CUT_OFF:
             self.cut_off = True
@@ -298,6 +303,7 @@ class ControlLoop:
     def start_experiment(self, name: str) -> ExperimentRun:
         """Start an experiment and its recording. Only allowed while `interlocks()` is empty."""
         self.foreign.forget()
+        self._end_code = "done"
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
         self._phase = run.phase
         self.kind.watch.reset()
@@ -309,11 +315,12 @@ class ControlLoop:
         self._enter(Mode.RUNNING, "running", f"experiment {name}")
         return run
 
-    def end_experiment(self, reason: str) -> None:
+    def end_experiment(self, reason: str, code: str = "end") -> None:
         """End the running experiment in order: the vehicle is lowered onto a support."""
         if self.run is not None and not self.run.end_reason:
             self.run.end(reason)
-            self._observer.event("warning", "end", reason)
+            self._end_code = code
+            self._observer.event("warning", code, reason)
 
     def stop_now(self, reason: str, code: str = "operator") -> None:
         """Quick stop: the drives brake, then are disabled; the vehicle falls onto its supports. Latches a fault."""
@@ -403,7 +410,7 @@ class ControlLoop:
         for drive in self.io.drives:
             drive.configured()
             code = (error_codes or {}).get(drive.config.name) or (drive.emergency.code if drive.emergency else 0)
-            if code & 0xFF00 in COMMUNICATION_ERRORS:
+            if of_communication(code):
                 self._to_acknowledge.add(drive)
         if self.mode is Mode.STARTING:
             self._enter(Mode.DISARMED, "disarmed", "")
@@ -415,14 +422,18 @@ class ControlLoop:
             self._observer.event("error", "set_up", reason)
 
     def look_after_drives(self) -> None:
-        """Called periodically: detect drives that need a new set-up, and acknowledge faults when their state is known.
+        """Called periodically: detect drives that need a new set-up, acknowledge faults when their state is known, and
+        report what the drives announce in their statuswords.
 
         A drive that missed its master has left NMT operational; a restarted drive has lost its configuration.
         """
         if self.mode in (Mode.STARTING, Mode.DISARMED):
             for drive in self.io.drives:
-                if drive.restarted or (drive.emergency and drive.emergency.code & 0xFF00 in COMMUNICATION_ERRORS):
+                if drive.restarted or (drive.emergency and of_communication(drive.emergency.code)):
                     self.needs_set_up = True
+        for drive in self.io.drives:
+            if advice := drive.new_advice():
+                self._observer.event("warning", Code.DRIVE_WARNING, f"drive {drive.config.name}: {', '.join(advice)}")
         self._to_acknowledge = {drive for drive in self._to_acknowledge if not drive.acknowledge()}
 
     def bus_down(self, down: BusDown) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import degrees
 from typing import Any
 
-from drivers.cia402.states import State
+from drivers.cia402.drive import Drive
+from drivers.cia402.states import REMOTE, VOLTAGE_ENABLED, State
 from drivers.foreign import REMEDY, ForeignTraffic
 from drivers.imu import ImuHealth
 from drivers.vehicle_io import VehicleIo
@@ -27,13 +28,29 @@ def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement
     for drive, entry in zip(io.drives, seen.drives, strict=True):
         entry.age = (now_ns - min(drive.timestamp_ns, drive.statusword_timestamp_ns)) * 1e-9
         entry.enabled = drive.state is State.OPERATION_ENABLED
+        entry.faulty = drive.state in FAULTY
         entry.restarted = drive.restarted
         if not entry.enabled:
             entry.state = drive.condition
         entry.emergency = drive.emergency.text if drive.emergency is not None else ""
+        entry.emergency_code = drive.emergency.code if drive.emergency is not None else 0
+        word = drive.statusword
+        entry.voltage = word is None or word & VOLTAGE_ENABLED != 0
+        entry.remote = word is None or word & REMOTE != 0
+        entry.heartbeat_age = heartbeat_age(drive, now_ns)
     seen.imu_health = io.imu.health(now_ns)
     seen.imu_text = io.imu.fault_text
     seen.axes = measured
+
+
+def heartbeat_age(drive: Drive, now_ns: int) -> float:
+    """s since the last heartbeat of `drive`, 0 before the first one."""
+    return (now_ns - drive.heartbeat_timestamp_ns) * 1e-9 if drive.heartbeat_timestamp_ns else 0.0
+
+
+def heartbeat_timeout(vehicle: VehicleFile) -> float:
+    """s that the last heartbeat of a drive may be old: the consumer time of the drives, and half a period of jitter."""
+    return vehicle.control.heartbeat_timeout + 0.5 * vehicle.control.heartbeat_period
 
 
 def interlocks(
@@ -65,6 +82,8 @@ def interlocks(
             found.append(f"Drive {drive.condition}. Remove its cause, then run `upright reset`.")
         elif measured.timestamp_ns == 0 or (now_ns - drive.timestamp_ns) * 1e-9 > 10 * vehicle.period:
             found.append(f"Drive {drive.last_wrong_length or drive.condition + ': no answer'}.")
+        elif heartbeat_age(drive, now_ns) > heartbeat_timeout(vehicle):
+            found.append(f"Drive {drive.condition}: no heartbeat. Switch it off and on, so that it is set up again.")
     return found + kind.interlocks(measured)
 
 
@@ -73,13 +92,14 @@ def strangers(foreign: ForeignTraffic, now_ns: int) -> list[str]:
     return [f"{each.text[:1].upper()}{each.text[1:]}: {REMEDY}." for each in foreign.active(now_ns)]
 
 
-def drive_states(io: VehicleIo) -> list[dict[str, str]]:
-    """State and fault of each drive, for display and for MQTT."""
+def drive_states(io: VehicleIo) -> list[dict[str, Any]]:
+    """State, fault and warnings of each drive, for display."""
     return [
         {
             "name": drive.config.name,
             "state": drive.state.value,
             "fault": drive.emergency.text if drive.emergency is not None else drive.last_wrong_length,
+            "warnings": list(drive.advice),
         }
         for drive in io.drives
     ]

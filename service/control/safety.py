@@ -12,11 +12,16 @@ stops now, since a quick stop causes a fall of a few degrees at most. The worst 
 depend on the earlier ones.
 
     always           no second master, IMU alive and sane, the angles of the fall finite and within bounds
-    armed            drives answer, no emergency, no restart, every axis and the setpoint within bounds, cycles in time
-    should_run       every drive is in Operation enabled
+    armed            drives answer and follow the bus, no emergency, no restart, every axis and the setpoint within
+                     bounds, cycles in time
+    should_run       every drive is in Operation enabled, and has voltage
     balancing        budgets left, observer alive
-    armed, last      what only ends a run in order: somebody else reads or changes the set-up of the drives
     upright          not fallen
+    armed, last      what only ends a run in order: a drive that warns or sends no heartbeat any more, somebody else who
+                     reads or changes the set-up of the drives
+
+An emergency of a drive that goes on is a warning, unless it says that the drive misses its master: a fault shows in the
+statusword within a cycle, and then stops the run.
 
 IMU and drives are the same for every vehicle. All other checks are data: `Bound`s, which each kind of vehicle derives
 from its limits (the module `kind` of its folder). Every comparison is written so that a NaN fails it.
@@ -26,24 +31,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from operator import attrgetter
 from typing import Any
 
+from drivers.cia402.emergency import of_communication
 from drivers.imu import ImuHealth
 from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
 
 @dataclass(slots=True)
 class DriveObservation:
-    """One drive in this cycle: `age` s of its latest values, `state` as text, `emergency` as text or ""."""
+    """One drive in this cycle: `age` s of its latest values, `state` as text, `emergency` as text or "" with its code.
+
+    `heartbeat_age` in s, 0 before the first one; `voltage` and `remote` as in the statusword.
+    """
 
     name: str
     age: float = 0.0
     enabled: bool = False
+    faulty: bool = False
     state: str = ""
     emergency: str = ""
+    emergency_code: int = 0
     restarted: bool = False
+    voltage: bool = True
+    remote: bool = True
+    heartbeat_age: float = 0.0
 
 
 @dataclass(slots=True)
@@ -91,10 +105,14 @@ _Check = tuple[Callable[[Observation], float], float, Bound]
 class Safety:
     """Checks the cycles of a vehicle against its `bounds`, in their order.
 
-    IMU, drives and loop may miss `missed_cycles` consecutive cycles of `period` s.
+    IMU, drives and loop may miss `missed_cycles` consecutive cycles of `period` s, a drive's heartbeat may be
+    `heartbeat_timeout` s old.
     """
 
-    def __init__(self, bounds: Sequence[Bound], *, missed_cycles: int, period: float) -> None:
+    def __init__(
+        self, bounds: Sequence[Bound], *, missed_cycles: int, period: float, heartbeat_timeout: float = inf
+    ) -> None:
+        self.heartbeat_timeout = heartbeat_timeout
         self.missed_cycles = missed_cycles
         self.period = period
         # Half a period of tolerance: `missed_cycles` whole periods without an answer, jitter included.
@@ -134,14 +152,18 @@ class Safety:
                 return bound.verdict(read(seen))
         if not seen.armed:
             return OK
+        concern = None
         for drive in seen.drives:
             if (
                 not drive.age <= self._longest_silence
-                or drive.emergency
                 or drive.restarted
-                or (seen.should_run and not drive.enabled)
+                or not drive.remote
+                or (seen.should_run and not (drive.enabled and drive.voltage))
+                or (drive.emergency and (drive.faulty or of_communication(drive.emergency_code)))
             ):
                 return self._drive_fault(drive)
+            if drive.emergency or not drive.heartbeat_age <= self.heartbeat_timeout:
+                concern = drive
         for read, limit, bound in self._armed:
             if not -limit <= read(seen) <= limit:
                 return bound.verdict(read(seen))
@@ -160,6 +182,8 @@ class Safety:
                     return bound.verdict(read(seen))
             if not seen.observer_alive:
                 return end(Code.OBSERVER_GONE, "the observer process ended: nothing is recorded any more")
+        if concern is not None:
+            return self._drive_concern(concern)
         if seen.foreign_request:
             return end(Code.FOREIGN_SDO, seen.foreign_request)
         return OK
@@ -175,4 +199,25 @@ class Safety:
                 f"drive {drive.name} has not answered for {drive.age * 1e3:.1f} ms, longer than "
                 f"{self.missed_cycles} cycles of {self.period * 1e3:g} ms",
             )
+        if not drive.remote:
+            return stop(
+                Code.DRIVE_NOT_REMOTE,
+                f"drive {drive.name} does not follow the bus any more (statusword bit 9, remote, is 0): give the "
+                "control back to CANopen, in the drive or in the tool that has taken it",
+            )
+        if drive.enabled:
+            return stop(
+                Code.DRIVE_NO_VOLTAGE,
+                f"drive {drive.name} has no torque: it says Operation enabled, but its voltage is off (statusword bit "
+                "4 is 0); check its supply, its fuse and safe torque off",
+            )
         return stop(Code.DRIVE_NOT_ENABLED, f"drive {drive.name} left Operation enabled: it is in {drive.state}")
+
+    def _drive_concern(self, drive: DriveObservation) -> Verdict:
+        if drive.emergency:
+            return end(Code.DRIVE_WARNING, f"drive {drive.name} warns: {drive.emergency}")
+        return end(
+            Code.DRIVE_HEARTBEAT,
+            f"drive {drive.name} has sent no heartbeat for {drive.heartbeat_age * 1e3:.0f} ms, though its values still "
+            "come: it may have lost its set-up (1017h)",
+        )

@@ -11,6 +11,7 @@ from closed_loop import ClosedLoop
 from drivers.cia402.states import State
 from drivers.foreign import QUIET_NS
 from service.control.loop import Mode
+from service.control.readiness import drive_states
 from simulation.bus.power_state import PowerState
 from telemetry.samples import CanFrame
 
@@ -117,11 +118,91 @@ class TestForeignMaster:
         assert closed.loop.mode is Mode.RUNNING
 
 
+class TestStatusword:
+    """Bits of the statusword beside the state, in a drive that says Operation enabled."""
+
+    @staticmethod
+    def with_bits(closed: ClosedLoop, clear: int = 0, add: int = 0) -> None:
+        """From now on the left gimbal reports its state with other bits."""
+        servo = closed.plant_side.drives["gimbal_left"].servo
+        true = servo._statusword
+        servo._statusword = lambda: true() & ~clear | add  # type: ignore[method-assign]
+
+    @pytest.mark.parametrize(
+        ("bit", "code", "words"),
+        [(0x10, "drive_no_voltage", "no torque"), (0x200, "drive_not_remote", "follow the bus")],
+    )
+    def test_without_torque_or_control_is_a_fault_in_one_cycle(self, bit: int, code: str, words: str) -> None:
+        closed = upright()
+        self.with_bits(closed, clear=bit)
+        closed.advance(2 * closed.vehicle.period)  # the statusword of one cycle is judged in the next
+        assert (closed.loop.mode, closed.loop.code) == (Mode.FAULT, code)
+        assert "gimbal_left" in closed.loop.reason
+        assert words in closed.loop.reason
+
+    def test_warnings_are_reported_once_and_shown_and_end_nothing(self) -> None:
+        closed = upright()
+        self.with_bits(closed, add=0x0880)
+        for _ in range(4):
+            closed.advance(0.5)
+            closed.loop.look_after_drives()
+        assert closed.loop.mode is Mode.RUNNING
+        events = [text for _, code, text in closed.witness.events if code == "drive_warning"]
+        assert events == ["drive gimbal_left: warning, internal limit active"]
+        assert drive_states(closed.loop.io)[0]["warnings"] == ["warning", "internal limit active"]
+
+
+class TestEmergency:
+    def test_of_a_drive_that_goes_on_ends_the_experiment_in_order(self) -> None:
+        closed = upright()
+        closed._inbox.append(CanFrame(closed.plant_side.time_ns, 0x081, struct.pack("<HB5x", 0xFF01, 0x81)))
+        closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+        assert (closed.loop.mode, closed.loop.code) == (Mode.DISARMED, "drive_warning")
+        assert "gimbal_left warns: FF01h" in closed.loop.reason
+        assert "FF01h" in closed.loop.interlocks()[0], "its cause is to be removed first"
+
+    @pytest.mark.parametrize("code", [0x8130, 0x8250])
+    def test_of_communication_stops_at_once(self, code: int) -> None:
+        closed = upright()
+        closed._inbox.append(CanFrame(closed.plant_side.time_ns, 0x081, struct.pack("<HB5x", code, 0x11)))
+        closed.advance(closed.vehicle.period)
+        assert (closed.loop.mode, closed.loop.code) == (Mode.FAULT, "drive_emergency")
+
+
+class TestHeartbeatOfADrive:
+    @staticmethod
+    def sending(faults: tuple[str, ...] = ()) -> ClosedLoop:
+        """A vehicle whose drives send heartbeats, as after their set-up."""
+        closed = ClosedLoop(faults=faults)
+        period = round(closed.vehicle.control.heartbeat_period * 1e3)
+        for drive in closed.vehicle.drive:
+            closed.plant_side.receive(0x600 + drive.node, b"\x2b\x17\x10\x00" + struct.pack("<I", period))
+        closed.advance(1.0)
+        return closed
+
+    def test_that_stops_is_noticed_in_its_time_and_ends_the_experiment_in_order(self) -> None:
+        closed = upright(self.sending())
+        closed.plant_side.drives["trim"].heartbeat_enabled = False
+        closed.advance(0.1)
+        assert closed.loop.run is not None
+        assert closed.loop.run.end_reason == ""
+        closed.advance(0.09)
+        assert "drive trim has sent no heartbeat" in closed.loop.run.end_reason
+        closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+        assert (closed.loop.mode, closed.loop.code) == (Mode.DISARMED, "drive_heartbeat")
+        assert "no heartbeat" in closed.loop.interlocks()[0]
+
+    def test_is_missed_by_nobody_while_it_comes(self) -> None:
+        closed = self.sending()
+        closed.run("hold")
+        assert (closed.loop.mode, closed.loop.reason) == (Mode.DISARMED, "")
+
+
 def test_sdo_request_of_somebody_else_ends_the_experiment_in_order() -> None:
     closed = upright()
     closed.loop.on_frames([CanFrame(closed.plant_side.time_ns, 0x602, b"\x40\x41\x60\x00" + bytes(4))])
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
-    assert closed.loop.mode is Mode.DISARMED
+    assert (closed.loop.mode, closed.loop.code) == (Mode.DISARMED, "foreign_sdo")
     assert "602h, an SDO request to drive gimbal_right (node 2)" in closed.loop.reason
     assert closed.loop.io.state is State.SWITCH_ON_DISABLED
 

@@ -17,7 +17,9 @@ from vehicles.monocab.axes import GimbalMeasurement
 from vehicles.monocab.kind import MonocabCode, bounds
 
 VEHICLE = load("monocab")
-SAFETY = Safety(bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period)
+SAFETY = Safety(
+    bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period, heartbeat_timeout=0.14
+)
 STILL = GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0)
 AS_MODELLED = SimpleNamespace(gimbal_following=0.0, trim_following=0.0, jump=0.0, gained=0.0, recovery=0.1)
 
@@ -88,8 +90,10 @@ ALWAYS = [
 ARMED = [
     (drive(age=0.020), Code.DRIVE_SILENT, ("gimbal_right", "20.0 ms")),
     (drive(age=NAN), Code.DRIVE_SILENT, ("gimbal_right",)),
-    (drive(emergency="8130h heartbeat lost"), Code.DRIVE_EMERGENCY, ("gimbal_right", "8130h")),
+    (drive(emergency="8130h heartbeat lost", emergency_code=0x8130), Code.DRIVE_EMERGENCY, ("gimbal_right", "8130h")),
+    (drive(emergency="8250h RPDO timeout", emergency_code=0x8250), Code.DRIVE_EMERGENCY, ("gimbal_right", "8250h")),
     (drive(restarted=True), Code.DRIVE_RESTARTED, ("gimbal_right",)),
+    (drive(remote=False), Code.DRIVE_NOT_REMOTE, ("gimbal_right", "bit 9")),
     (axes(precession=1.1), MonocabCode.PRECESSION, ("63.03 deg", "60.00 deg")),
     (axes(precession=NAN), Code.NOT_FINITE, ("precession",)),
     (axes(precession_rate=-1.6), MonocabCode.PRECESSION_RATE, ("-91.67 deg/s",)),
@@ -100,7 +104,6 @@ ARMED = [
     (watched(gimbal_following=0.01), MonocabCode.GIMBAL_FOLLOWING, ("do not follow", "0.57 deg", "0.20 deg")),
     (field(late_cycles=3), Code.DEADLINE, ("3 control cycles", "4 ms")),
 ]
-SHOULD_RUN = [(drive(enabled=False, state="Quick stop active"), Code.DRIVE_NOT_ENABLED, ("Quick stop active",))]
 UPRIGHT = [
     (field(angle=-0.066), MonocabCode.FALLEN, ("lies on its support", "-3.78 deg", "3.70 deg")),
     (watched(jump=0.05), MonocabCode.GYRO_JUMP, ("the gyro jumps", "2.86 deg/s")),
@@ -116,6 +119,16 @@ ARMED_IN_ORDER = [
 ]
 UPRIGHT_IN_ORDER = [
     (watched(gained=0.1), MonocabCode.TORQUE_BALANCE, ("no torque explains", "5.7 of 5 deg/s", "flywheels")),
+]
+SHOULD_RUN = [
+    (drive(enabled=False, state="Quick stop active"), Code.DRIVE_NOT_ENABLED, ("Quick stop active",)),
+    (drive(voltage=False), Code.DRIVE_NO_VOLTAGE, ("gimbal_right", "no torque", "bit 4")),
+]
+IN_ORDER = [
+    (drive(emergency="FF01h vendor-specific", emergency_code=0xFF01), Code.DRIVE_WARNING, ("gimbal_right", "FF01h")),
+    (drive(heartbeat_age=0.2), Code.DRIVE_HEARTBEAT, ("gimbal_right", "200 ms")),
+    (drive(heartbeat_age=NAN), Code.DRIVE_HEARTBEAT, ("gimbal_right",)),
+    (field(foreign_request="somebody else"), Code.FOREIGN_SDO, ("somebody else",)),
 ]
 BALANCING = [
     (watched(recovery=0.8), MonocabCode.RECOVERY, ("leave too little", "80.0 of 70 %")),
@@ -141,7 +154,7 @@ def test_state_that_cannot_be_controlled_stops_immediately(
     assert all(word in verdict.text for word in words), verdict.text
 
 
-@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING + ARMED_IN_ORDER + UPRIGHT_IN_ORDER)
+@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING + IN_ORDER + ARMED_IN_ORDER + UPRIGHT_IN_ORDER)
 def test_state_that_can_still_be_controlled_ends_in_order(
     spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
 ) -> None:
@@ -155,7 +168,7 @@ def test_state_that_can_still_be_controlled_ends_in_order(
 @pytest.mark.parametrize(
     ("flag", "cases"),
     [
-        ("armed", ARMED + ARMED_IN_ORDER + SHOULD_RUN + BALANCING),
+        ("armed", ARMED + ARMED_IN_ORDER + SHOULD_RUN + BALANCING + IN_ORDER),
         ("should_run", SHOULD_RUN),
         ("balancing", BALANCING + WHILE_BALANCING),
         ("upright", UPRIGHT + UPRIGHT_IN_ORDER),
@@ -201,6 +214,21 @@ def test_cause_is_named_before_its_consequence() -> None:
     assert SAFETY.judge(seen).code is Code.DRIVE_EMERGENCY
     seen.imu_age, seen.angle = 0.1, NAN
     assert SAFETY.judge(seen).code is Code.IMU_SILENT
+
+
+def test_warning_of_a_drive_hides_no_fault() -> None:
+    for spoil, code, _ in ARMED[4:]:
+        seen = balancing()
+        seen.drives[0].emergency, seen.drives[0].emergency_code = "FF01h", 0xFF01
+        spoil(seen)
+        assert SAFETY.judge(seen).code is code
+
+
+def test_emergency_with_a_fault_is_no_mere_warning() -> None:
+    seen = balancing()
+    seen.should_run = False
+    drive(emergency="FF01h", emergency_code=0xFF01, faulty=True)(seen)
+    assert SAFETY.judge(seen).code is Code.DRIVE_EMERGENCY
 
 
 def test_hard_limit_takes_precedence_over_the_budget() -> None:
