@@ -35,6 +35,8 @@ class Code(StrEnum):
     DRIVE_NOT_REMOTE = "drive_not_remote"
     DRIVE_WARNING = "drive_warning"
     DRIVE_HEARTBEAT = "drive_heartbeat"
+    DRIVE_STILL_ENABLED = "drive_still_enabled"
+    DRIVE_UNCONFIRMED = "drive_unconfirmed"
     DEADLINE = "deadline"
     FOREIGN_MASTER = "foreign_master"
     FOREIGN_SDO = "foreign_sdo"

@@ -111,7 +111,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
         return
     page.print(f"[bold]{answer['vehicle']}[/bold]  {answer['mode']}  {answer['experiment'] or ''}")
     if answer["reason"]:
-        page.print(f"  {answer['reason']}")
+        page.print(f"  {answer['reason']}", style="bold red" if answer["mode"] == "fault" else None, markup=False)
     for interlock in answer["interlocks"]:
         page.print(f"  not ready: {interlock}")
     for drive in answer["drives"]:

@@ -221,10 +221,10 @@ class Commands:
             if self._loop.run is run:
                 self._release(client, f"{client} disconnected")
         # Another experiment may start while the files of this one are completed: keep the state of this one.
-        fault = (self._loop.code, self._loop.reason) if self._loop.mode is Mode.FAULT else None
+        fault = self._loop.fault if self._loop.mode is Mode.FAULT else None
         summary = await self._observer.finished_recording()
         if fault is not None:
-            yield result(ExitCode.VEHICLE_FAULT, *fault, **summary)
+            yield result(ExitCode.VEHICLE_FAULT, fault.code, fault.text, **summary)
         elif run.failure:
             yield result(ExitCode.FAILED, "experiment", run.failure, **summary)
         elif summary["failure"]:

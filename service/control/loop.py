@@ -12,7 +12,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol
 
@@ -29,6 +30,7 @@ from service.control.readiness import heartbeat_timeout, interlocks, observation
 from service.control.rows import row
 from service.control.safety import Safety
 from service.control.sequence import ExperimentRun, plan
+from service.control.stop_check import CYCLES, Stop, StopCheck
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame, ImuSample
 from vehicles import registry
@@ -62,6 +64,14 @@ class Mode(StrEnum):
     DISARMED = "disarmed"
     RUNNING = "running"
     FAULT = "fault"
+
+
+@dataclass(slots=True)
+class Fault:
+    """The latched fault. What is found out about it later, as that a drive is still enabled, is put in front."""
+
+    code: str
+    text: str
 
 
 class Observer(Protocol):
@@ -105,6 +115,8 @@ class ControlLoop:
         self.reason = "setting up the drives"
         self.since_ns = 0
         self.needs_set_up = True
+        self.fault: Fault | None = None
+        """The last fault; latched while the mode is FAULT."""
         self.run: ExperimentRun | None = None
         self.cycles = 0
         self.missed_cycles = 0
@@ -147,6 +159,11 @@ class ControlLoop:
         self._asked: LoadSection | TiltSection | None = None
         self._failure_logged = False
         self._end_code = ""
+        self._stop_check = StopCheck(
+            self.io.drives,
+            period=vehicle.period,
+            timeout=vehicle.control.heartbeat_timeout + CYCLES * vehicle.period,
+        )
 
     # The path of a sample
 
@@ -208,6 +225,8 @@ class ControlLoop:
         if run.asked is not self._asked:
             self._announce(run.asked)
         if run.done:
+            if not run.leaves_drives_alone:
+                self._stop_check.begin(self._last_ns, 0.0)
             self._finish_run(Mode.DISARMED, self._end_code, run.failure or run.end_reason)
         return command
 
@@ -260,11 +279,14 @@ class ControlLoop:
             self._send_heartbeat(now_ns)
 
     def _send_heartbeat(self, now_ns: int) -> None:
-        """The heartbeat, or in its place, for drives that somebody else commands, the command to stop."""
-        if not self.cut_off:
+        """The heartbeat, unless a drive is to miss it. Drives that somebody else commands get NMT stop in its place."""
+        if self.cut_off:
+            self._stop_nodes(self.io.drives, now_ns)
+        elif not self._stop_check.withheld:
             self._send(self._heartbeat_id, OPERATIONAL, now_ns)
-            return
-        for drive in self.io.drives:
+
+    def _stop_nodes(self, drives: Iterable[Drive], now_ns: int) -> None:
+        for drive in drives:
             self._send(*command_frame(NmtCommand.STOP, drive.config.node), now_ns)
 
     def _after_run(self, dt: float) -> Command:
@@ -273,10 +295,42 @@ class ControlLoop:
             self._aftermath -= dt
             if self._aftermath <= 0.0:
                 self._end_recording()
+        self._verify_stop(dt)
         if self._quick_stop_left > 0.0:
             self._quick_stop_left -= dt
             return QUICK_STOP
         return IDLE
+
+    def _verify_stop(self, dt: float) -> None:
+        """Check that the drives have stopped; if one has not, say so before anything else."""
+        check = self._stop_check
+        if check.over or check.step(dt) is not Stop.FAILED:
+            return
+        enabled = check.enabled()
+        if not enabled:
+            silent = " and ".join(drive.config.name for drive in check.unconfirmed())
+            text = f"drive {silent} has not confirmed to be off: check it by hand"
+            self._observer.event("error", Code.DRIVE_UNCONFIRMED, text)
+            if self.fault is not None and self.mode is Mode.FAULT:
+                self._latch(self.fault.code, f"{self.fault.text}; {text}")
+            return
+        self._stop_nodes(enabled, self._last_ns)
+        names = " and ".join(f"{drive.config.name} (node {drive.config.node})" for drive in enabled)
+        text = (
+            f"STILL ENABLED: drive {names}, although quick stop, disable voltage and NMT stop were sent and the "
+            "heartbeat was withheld; switch off its power by hand"
+        )
+        self._observer.event("error", Code.DRIVE_STILL_ENABLED, text)
+        before = self.fault if self.mode is Mode.FAULT else None
+        self._latch(Code.DRIVE_STILL_ENABLED, f"{text}. Stopped because: {before.text}" if before else text)
+
+    def _latch(self, code: str, text: str) -> None:
+        """Enter the mode FAULT, or say more of the fault that is latched."""
+        if self.fault is not None and self.mode is Mode.FAULT:
+            self.fault.code, self.fault.text = code, text
+        else:
+            self.fault = Fault(code, text)
+        self._enter(Mode.FAULT, code, text)
 
     def _fail(self, error: Exception, *, answer: bool) -> None:
         """An exception on the path of a sample: a latched fault, logged once. If the cycle ended with it, `answer` the
@@ -326,6 +380,8 @@ class ControlLoop:
         """Quick stop: the drives brake, then are disabled; the vehicle falls onto its supports. Latches a fault."""
         self._quick_stop_left = QUICK_STOP_TIME
         self._aftermath = AFTERMATH
+        self._stop_check.begin(self._last_ns, QUICK_STOP_TIME)
+        self.fault = Fault(code, reason)
         self._finish_run(Mode.FAULT, code, reason)
         self._observer.event("error", code, reason)
 
@@ -407,6 +463,7 @@ class ControlLoop:
         The fault of a drive that only missed its master is reset without asking: every stop of the daemon causes it.
         """
         self.needs_set_up = False
+        self._stop_check.settle()  # it has found the drives to be off, or has switched them off
         for drive in self.io.drives:
             drive.configured()
             code = (error_codes or {}).get(drive.config.name) or (drive.emergency.code if drive.emergency else 0)
@@ -521,6 +578,7 @@ class ControlLoop:
             self.stop_now(verdict.text or "no complete IMU frame set", verdict.code.value)
         if self._recording:
             self._end_recording()
+        self._verify_stop(passed)
         if self._silence < QUICK_STOP_TIME:
             self._transmit(QUICK_STOP if self._quick_stop_left > 0.0 else IDLE, self._last_ns)
         elif self.mode is not Mode.RUNNING:

@@ -221,3 +221,91 @@ def test_everything_twice_changes_nothing(copied: str) -> None:
     assert (closed.loop.mode, closed.loop.reason) == (Mode.DISARMED, "")
     assert closed.loop.missed_cycles == missed
     assert closed.loop.io.imu.statistics.duplicates > 3 * 1000
+
+
+class TestVerifiedStop:
+    """Drives that do not do what they are told when the vehicle is stopped."""
+
+    @staticmethod
+    def supervised(**changes: object) -> ClosedLoop:
+        """A vehicle whose drives watch the heartbeat, as after their set-up: they brake if it is missing."""
+        closed = ClosedLoop(**changes)  # type: ignore[arg-type]
+        timeout = round(closed.vehicle.control.heartbeat_timeout * 1e3)
+        for drive in closed.vehicle.drive:
+            node = closed.vehicle.control.master_node
+            closed.plant_side.receive(0x600 + drive.node, b"\x23\x16\x10\x01" + struct.pack("<I", node << 16 | timeout))
+            closed.plant_side.receive(0x600 + drive.node, b"\x2b\x07\x60\x00" + struct.pack("<I", 3))
+        closed.advance(0.5)
+        return upright(closed)
+
+    @staticmethod
+    def deaf_to_controlwords(closed: ClosedLoop) -> None:
+        """The trim drive has its enabling controlword for ever."""
+        servo = closed.plant_side.drives["trim"].servo
+        write = servo.write
+        servo.write = lambda key, value, now: write(key, 0x7F if key == 0x604000 else value, now)  # type: ignore[method-assign]
+
+    @staticmethod
+    def heartbeats(closed: ClosedLoop) -> int:
+        return sum(frame.can_id == 0x77F for frame in closed.raw)
+
+    def test_of_obedient_drives_withholds_nothing(self) -> None:
+        closed = self.supervised()
+        before = self.heartbeats(closed)
+        closed.loop.stop_now("test")
+        closed.advance(4.0)
+        assert self.heartbeats(closed) - before == pytest.approx(100, abs=2)
+        assert [code for _, code, _ in closed.witness.events] == ["operator"]
+        assert all(drive.emergency is None for drive in closed.loop.io.drives)
+
+    def test_withholds_the_heartbeat_until_a_deaf_drive_stops_by_itself(self) -> None:
+        closed = self.supervised()
+        self.deaf_to_controlwords(closed)
+        closed.loop.stop_now("test")
+        closed.advance(1.0)
+        assert not off(closed)
+        closed.advance(1.5)
+        assert off(closed)
+        assert closed.loop.reason == "test; drive trim has not confirmed to be off: check it by hand"
+        before = self.heartbeats(closed)
+        closed.advance(1.0)
+        assert self.heartbeats(closed) > before, "it is withheld no longer than a drive waits for it"
+
+    @pytest.mark.parametrize("running", [True, False])
+    def test_that_fails_is_said_before_anything_else(self, running: bool) -> None:
+        closed = self.supervised()
+        self.deaf_to_controlwords(closed)
+        trim = closed.plant_side.drives["trim"]
+        trim._connection_lost = lambda code: None  # type: ignore[method-assign]  # nor does it miss its master
+        if running:
+            closed.loop.stop_now("a limit was reached", "roll")
+        else:
+            closed.loop.end_experiment("changed my mind")
+            closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+        fault = closed.loop.fault
+        closed.advance(1.5)
+        assert (closed.loop.mode, closed.loop.code) == (Mode.FAULT, "drive_still_enabled")
+        assert closed.loop.reason.startswith("STILL ENABLED: drive trim (node 3)")
+        assert closed.loop.state()["faults"][0]["text"] == closed.loop.reason
+        assert closed.witness.events[-1][:2] == ("error", "drive_still_enabled")
+        if running:
+            assert closed.loop.reason.endswith("Stopped because: a limit was reached")
+            assert fault is closed.loop.fault, "who has asked for the experiment is told, too"
+
+    def test_of_a_drive_that_does_not_answer_is_not_confirmed(self) -> None:
+        closed = self.supervised()
+        closed.plant_side.drives["trim"].connected = False
+        closed.advance(4.0)
+        assert closed.loop.code == "drive_silent"
+        assert closed.witness.events[-1][1:] == (
+            "drive_unconfirmed",
+            "drive trim has not confirmed to be off: check it by hand",
+        )
+
+    def test_ends_with_the_set_up_which_finds_the_drives_off(self) -> None:
+        closed = self.supervised()
+        closed.plant_side.drives["trim"].connected = False
+        closed.advance(1.0)
+        closed.loop.set_up_done()
+        closed.advance(3.0)
+        assert "drive_unconfirmed" not in [code for _, code, _ in closed.witness.events]

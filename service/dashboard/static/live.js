@@ -42,8 +42,8 @@ export class Live {
   }
 
   state(state) {
-    const words = [...state.faults.map((fault) => `Fault: ${fault.text}`), ...state.interlocks];
-    fill(this.interlocks, words.length ? words.map((each) => h("li", {}, each)) : h("li", { class: "good" }, "None: an experiment can be started."));
+    const words = [...state.faults.map((fault) => h("li", { class: "bad" }, `Fault: ${fault.text}`)), ...state.interlocks.map((each) => h("li", {}, each))];
+    fill(this.interlocks, words.length ? words : h("li", { class: "good" }, "None: an experiment can be started."));
     text(this.figures.held, this.app.named(state.held_by || "nobody"));
   }
 
