@@ -20,6 +20,7 @@ from typing import Protocol, cast
 from drivers.bus_address import connect, split
 from drivers.bus_errors import BusDown, BusError
 from drivers.error_frames import ErrorClass, ErrorReport, decode
+from drivers.frame_clock import FrameClock
 from drivers.message_port import MessagePort
 from drivers.socketcan import SocketcanPort, SocketHolder
 from telemetry.samples import CanFrame
@@ -93,17 +94,24 @@ class Bus:
 
     @classmethod
     def open(
-        cls, address: str, *, index: int = 0, bitrate: int | None = None, can_ids: Sequence[int] | None = None
+        cls,
+        address: str,
+        *,
+        index: int = 0,
+        bitrate: int | None = None,
+        can_ids: Sequence[int] | None = None,
+        clock: FrameClock | None = None,
     ) -> Bus:
         """Open the bus at IFACE:CHANNEL, delivering `can_ids` only (None: everything); `bitrate` in bit/s.
 
-        Raises BusError, with the remedy. A serial adapter takes 2 s to open.
+        `clock` makes the stamps of received frames independent of steps of the wall clock. Raises BusError, with the
+        remedy. A serial adapter takes 2 s to open.
         """
         bus = connect(address, bitrate, can_ids)
         interface, channel = split(address)
         if interface == "socketcan":
-            return cls(SocketcanPort(cast(SocketHolder, bus), channel, index), address, index)
-        return cls(MessagePort(bus, interface, index), address, index)
+            return cls(SocketcanPort(cast(SocketHolder, bus), channel, index, clock), address, index)
+        return cls(MessagePort(bus, interface, index, clock), address, index)
 
     def start(self, on_frames: OnFrames, on_down: OnDown) -> None:
         """Deliver frames in the running event loop from now on; `on_down` is called at most once, after them."""

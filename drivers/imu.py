@@ -66,7 +66,8 @@ class ImuStatistics:
 class Imu:
     """Turns the IMU's frames into samples and monitors them.
 
-    `fault_text` says what was wrong with the last set that was dropped for its content, with the remedy.
+    `frozen` is the number of sets in a row whose time has not advanced. `fault_text` says what was wrong with the last
+    set that was dropped for its content, with the remedy.
     """
 
     def __init__(self, config: ImuConfig) -> None:
@@ -74,6 +75,7 @@ class Imu:
         self.can_ids = config.can_ids
         self.statistics = ImuStatistics()
         self.fault_text = ""
+        self.frozen = 0
         self._layout = layout_of(config)
         self._places = {can_id: place for place, can_id in enumerate(self.can_ids)}
         self._latency_ns = round(config.latency * 1e9)
@@ -157,6 +159,7 @@ class Imu:
             if same and 0 <= interval_ns < self._shortest_interval_ns:
                 self.statistics.duplicates += len(self._payloads)
                 return None
+            self.frozen = self.frozen + 1 if interval_ns == 0 else 0
             if not 0 < interval_ns <= self._longest_interval_ns:
                 self.statistics.gaps += 1
             if same:
@@ -203,5 +206,6 @@ class Imu:
         self._start_ns = start_ns
         self._sample = None
         self._repeats = 0
+        self.frozen = 0
         self._content = ImuHealth.OK
         self.fault_text = ""

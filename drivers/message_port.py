@@ -14,11 +14,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from uuid import uuid4
 
 import can
 
-from drivers.socketcan import STANDARD_ID
+from drivers.frame_clock import FrameClock
+from drivers.socketcan import STANDARD_ID, read_clocks
 from telemetry.samples import CanFrame
 
 POLL_PERIOD = 0.05
@@ -35,14 +37,18 @@ OUTBOX_LIMIT = 64
 MALFORMED_LIMIT = 16
 """Consecutive malformed messages after which the line is taken not to carry CAN."""
 
+OF_THE_WALL_CLOCK = ("udp_multicast", "slcan")
+"""Interfaces whose frames have the time of this computer's wall clock."""
+
 NEVER_WAITS = ("virtual", "udp_multicast")
 """Interfaces whose `send` returns at once."""
 
 
 class MessagePort:
-    """A python-can bus as a `drivers.bus.Port`."""
+    """A python-can bus as a `drivers.bus.Port`. `clock` converts stamps of the wall clock, None leaves them."""
 
-    def __init__(self, bus: can.BusABC, interface: str, index: int) -> None:
+    def __init__(self, bus: can.BusABC, interface: str, index: int, clock: FrameClock | None = None) -> None:
+        self._clock = clock if interface in OF_THE_WALL_CLOCK else None
         self.receive_dropped = 0
         self._bus = bus
         self._index = index
@@ -78,7 +84,7 @@ class MessagePort:
         frames = [inbox.popleft() for _ in range(min(len(inbox), MOST_FRAMES))]
         if inbox or self._failure is not None:
             self._wake()
-        return frames
+        return frames if self._clock is None else converted(frames, self._clock)
 
     def send(self, can_id: int, data: bytes, timestamp_ns: int) -> bool:
         """Send a frame; False when too many are waiting already. Raises OSError when the bus is gone."""
@@ -157,6 +163,16 @@ class MessagePort:
             self._loop.call_soon_threadsafe(self._on_readable)
         except RuntimeError:  # the loop was closed before this bus was: nobody reads any more
             self._running = False
+
+
+def converted(frames: list[CanFrame], clock: FrameClock) -> list[CanFrame]:
+    """`frames`, which were received since the last call, with their stamps converted."""
+    read_clocks(clock)
+    if clock.stepping:
+        return [replace(frame, timestamp_ns=clock.convert(frame.timestamp_ns)) for frame in frames]
+    if clock.shift_ns:
+        return [replace(frame, timestamp_ns=frame.timestamp_ns + clock.shift_ns) for frame in frames]
+    return frames
 
 
 def _frame(message: can.Message, index: int) -> CanFrame:

@@ -1,9 +1,10 @@
 """SocketCAN, read and written without python-can's per-frame cost: one system call for all waiting frames.
 
 python-can opens and configures the socket (CAN_RAW, error frames on, SO_TIMESTAMPNS); from then on `recvmmsg` reads up
-to `SLOTS` frames at once, each with the kernel's receive time in ns and the count of frames that the kernel had to drop
-(SO_RXQ_OVFL). Its return value shows when the queue is empty, whereas `recvmsg` in a loop takes three calls for one
-frame: the read, a look-up of the interface's name (CPython does that for AF_CAN), and the read that finds nothing.
+to `SLOTS` frames at once, each with the kernel's receive time in ns (converted by `drivers.frame_clock`) and the count
+of frames that the kernel had to drop (SO_RXQ_OVFL). Its return value shows when the queue is empty, whereas `recvmsg`
+in a loop takes three calls for one frame: the read, a look-up of the interface's name (CPython does that for AF_CAN),
+and the read that finds nothing.
 
 A slot is struct can_frame followed by the frame's control messages (64-bit offsets in brackets):
 can_id [0] u32, length [4] u8, data [8] 8 bytes, cmsghdr [16], struct timespec [32], cmsghdr [48], drop count [64] u32.
@@ -16,9 +17,11 @@ import errno
 import os
 import socket
 import struct
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
+from drivers.frame_clock import DEADBAND, FrameClock
 from telemetry.samples import CanFrame
 
 if TYPE_CHECKING:
@@ -77,6 +80,22 @@ _recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int
 _recvmmsg.restype = ctypes.c_int
 
 
+def read_clocks(clock: FrameClock) -> None:
+    """Give `clock` the wall clock and CLOCK_MONOTONIC of the same moment, if this process is not held up meanwhile."""
+    before = time.monotonic_ns()
+    realtime = time.time_ns()
+    after = time.monotonic_ns()
+    if after - before < DEADBAND // 2:
+        clock.read(realtime, (before + after) // 2)
+
+
+def start_clock() -> FrameClock:
+    """A clock that agrees with the wall clock now."""
+    readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5)]
+    before, realtime, after = min(readings, key=lambda reading: reading[2] - reading[0])
+    return FrameClock(realtime - (before + after) // 2)
+
+
 class SocketHolder(Protocol):
     """What is needed of python-can's SocketcanBus."""
 
@@ -87,9 +106,11 @@ class SocketHolder(Protocol):
 
 
 class SocketcanPort:
-    """The socket of one SocketCAN interface, as a `drivers.bus.Port`."""
+    """The socket of one SocketCAN interface, as a `drivers.bus.Port`. Without a `clock`, stamps are the kernel's."""
 
-    def __init__(self, bus: SocketHolder, channel: str, index: int) -> None:
+    def __init__(self, bus: SocketHolder, channel: str, index: int, clock: FrameClock | None = None) -> None:
+        self._clock = clock or FrameClock(0)
+        self._converts = clock is not None
         self.receive_dropped = 0
         self._bus = bus
         self._index = index
@@ -134,10 +155,15 @@ class SocketcanPort:
                 return []
             raise self._failure(code)
         frames = []
-        index = self._index
+        index, clock = self._index, self._clock
+        if self._converts:
+            read_clocks(clock)
+        shift_ns, stepping = clock.shift_ns, clock.stepping
         filled = self._view[: count * SLOT.size]
         for can_id, length, data, _, _, _, seconds, nanoseconds, _, _, _, _ in SLOT.iter_unpack(filled):
-            timestamp_ns = seconds * 1_000_000_000 + nanoseconds
+            timestamp_ns = seconds * 1_000_000_000 + nanoseconds + shift_ns
+            if stepping:
+                timestamp_ns = clock.convert(timestamp_ns - shift_ns)
             if can_id <= STANDARD_ID:
                 frames.append(CanFrame(timestamp_ns, can_id, data[:length], index))
             else:

@@ -26,6 +26,7 @@ class Code(StrEnum):
     IMU_OUT_OF_RANGE = "imu_out_of_range"
     IMU_FORMAT = "imu_format"
     IMU_CONTRADICTION = "imu_contradiction"
+    IMU_TIME = "imu_time"
     NOT_FINITE = "not_finite"
     DRIVE_SILENT = "drive_silent"
     DRIVE_EMERGENCY = "drive_emergency"

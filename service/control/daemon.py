@@ -20,6 +20,7 @@ from drivers.canopen_link import CanopenLink
 from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.cia402.setup import DriveReport, Supervision, configure
 from drivers.imu_format import check_format
+from drivers.socketcan import start_clock
 from service.control import assembly
 from service.control.api import ApiServer
 from service.control.commands import Commands
@@ -70,7 +71,10 @@ class Daemon:
         self._link: CanopenLink | None = None
         self.reports: list[DriveReport] = []
         self._published: dict[str, Any] = {}
+        self._clock = start_clock()
+        self._clock_steps = 0
         hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses())
+        hello["clock_base_ns"] = self._clock.base_ns
         self.observer = ObserverClient(hello, lossless=lock_step)
         self.loop = ControlLoop(
             vehicle,
@@ -126,9 +130,10 @@ class Daemon:
     def _open_buses(self) -> None:
         vehicle, places = self.vehicle, self.places
         one_bus = places.imu_bus == places.drives_bus
-        drives = Bus.open(places.drives_bus, index=0, bitrate=vehicle.bus.bitrate)
+        bitrate, clock = vehicle.bus.bitrate, self._clock
+        drives = Bus.open(places.drives_bus, index=0, bitrate=bitrate, clock=clock)
         try:
-            buses = [drives] if one_bus else [drives, Bus.open(places.imu_bus, index=1, bitrate=vehicle.bus.bitrate)]
+            buses = [drives] if one_bus else [drives, Bus.open(places.imu_bus, index=1, bitrate=bitrate, clock=clock)]
         except BusError:
             drives.close()
             raise
@@ -183,6 +188,7 @@ class Daemon:
                 else:
                     self.loop.set_up_done({report.name: report.error_code for report in self.reports})
             self.loop.look_after_drives()
+            self._report_clock()
             self._publish_state()
             self._publish_health()
             with contextlib.suppress(TimeoutError):
@@ -229,6 +235,13 @@ class Daemon:
             reports.append(report)
         self.reports = reports
 
+    def _report_clock(self) -> None:
+        if self._clock.steps != self._clock_steps:
+            self._clock_steps = self._clock.steps
+            step = self._clock.last_step_ns * 1e-9
+            text = f"the computer's clock was set by {step:+.3f} s: the time of the data goes on as before"
+            self.observer.event("warning", "clock_step", text)
+
     def _on_observer_exit(self, status: int) -> None:
         self.loop.observer_gone()
 
@@ -267,6 +280,7 @@ class Daemon:
             "cycles": self.loop.cycles,
             "missed_cycles": self.loop.missed_cycles,
             "nearest_limit": self.loop.nearest_limit(),
+            "clock": self._clock.status(),
             "foreign": self.loop.foreign.statistics(),
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,

@@ -40,6 +40,7 @@ def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement
         entry.heartbeat_age = heartbeat_age(drive, now_ns)
     seen.imu_health = io.imu.health(now_ns)
     seen.imu_text = io.imu.fault_text
+    seen.imu_frozen = io.imu.frozen
     seen.axes = measured
 
 

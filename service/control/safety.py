@@ -65,11 +65,12 @@ class Observation:
     """The input of the verdict. One object, updated every cycle.
 
     `imu_age` s since the previous IMU sample, or since the last one if none came; `imu_text` is the explanation by the
-    IMU driver; `late_cycles` consecutive cycles came too late to command the drives; `angle` (rad) and `rate` (rad/s)
-    are those of the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the
-    kind of vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
-    standard deviations; `foreign_command` and `foreign_request` say what somebody else sends with our ids, "" if nobody
-    does. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
+    IMU driver; `imu_frozen` sets came without any advance of their time; `late_cycles` consecutive cycles came too late
+    to command the drives; `angle` (rad) and `rate` (rad/s) are those of the fall; `setpoint` is the next one for the
+    drives; `axes` are their measurements, in the terms of the kind of vehicle, and `watched` what its model says about
+    them; `contradiction` is that of accelerometer and gyro, in standard deviations; `foreign_command` and
+    `foreign_request` say what somebody else sends with our ids, "" if nobody does. See the module docstring for
+    `armed`, `should_run`, `balancing` and `upright`.
     """
 
     drives: tuple[DriveObservation, ...] = ()
@@ -80,6 +81,7 @@ class Observation:
     imu_age: float = 0.0
     imu_health: ImuHealth = ImuHealth.OK
     imu_text: str = ""
+    imu_frozen: int = 0
     angle: float = 0.0
     rate: float = 0.0
     setpoint: float = 0.0
@@ -147,6 +149,12 @@ class Safety:
             )
         if seen.imu_health is not ImuHealth.OK:
             return stop(_IMU_CODES[seen.imu_health], seen.imu_text or f"the IMU is not usable: {seen.imu_health.value}")
+        if seen.imu_frozen > self.missed_cycles:
+            return stop(
+                Code.IMU_TIME,
+                f"{seen.imu_frozen + 1} IMU frame sets in a row have the same time stamp: the driver of the interface "
+                "stamps no frames, or a clock stands still",
+            )
         for read, limit, bound in self._always:
             if not -limit <= read(seen) <= limit:
                 return bound.verdict(read(seen))

@@ -9,6 +9,7 @@ import contextlib
 import socket
 from dataclasses import dataclass
 
+from drivers.frame_clock import FrameClock
 from drivers.socketcan import SocketcanPort
 from telemetry.samples import CanFrame
 
@@ -32,19 +33,19 @@ class _Listener:
 
 
 class CanTap:
-    """A listening socket on interface `channel`, whose frames get bus index `bus`.
+    """A listening socket on interface `channel`, whose frames get bus index `bus` and their time by `clock`, if any.
 
     Raises OSError if there is no such interface.
     """
 
-    def __init__(self, channel: str, bus: int) -> None:
+    def __init__(self, channel: str, bus: int, clock: FrameClock | None = None) -> None:
         self.channel = channel
         listening = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             listening.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             listening.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERROR_CLASSES)
             listening.bind((channel,))
-            self._port = SocketcanPort(_Listener(listening), channel, bus)
+            self._port = SocketcanPort(_Listener(listening), channel, bus, clock)
             with contextlib.suppress(PermissionError):
                 listening.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
         except OSError:

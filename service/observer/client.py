@@ -80,7 +80,7 @@ class ObserverClient:
         """Start the observer and, for SocketCAN, the raw log. Returns before they are up: the pipe holds until then."""
         buses = [address.partition(":")[2] for address in self._hello["raw_log_buses"]]
         if buses:
-            self._raw_log = RawLogProcess(buses, self.event)
+            self._raw_log = RawLogProcess(buses, self.event, self._hello.get("clock_base_ns"))
         await self.restart()
 
     async def restart(self) -> None:

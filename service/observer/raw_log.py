@@ -1,9 +1,10 @@
 """The raw log process: writes all frames on one or two SocketCAN interfaces to candump files, on request.
 
-    python -m service.observer.raw_log can0 [can1]
+    python -m service.observer.raw_log can0 [can1] [--base NS]
 
 Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each closed file and each error, a line
-of JSON is written to stdout. The process has sockets of its own with the kernel's receive times, reads the waiting
+of JSON is written to stdout. Times are those of the control process, whose clock has the base NS
+(`drivers.frame_clock`). The process has sockets of its own with the kernel's receive times, reads the waiting
 frames every 20 ms and writes them in the order of time. If stdin ends without `quit`, its master has died: it logs for
 `GRACE` s more, so that the log shows how the drives stopped, and then closes the file. It imports very little.
 """
@@ -21,6 +22,8 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
+from drivers.frame_clock import FrameClock
+from drivers.socketcan import start_clock
 from service.observer.can_tap import CanTap
 from telemetry.candump import format_frames
 from telemetry.samples import CanFrame
@@ -43,8 +46,9 @@ NICENESS = 5
 class RawLog:
     """One log file, from `open` to `close`. `channels` are the interfaces, in the order of their bus index."""
 
-    def __init__(self, channels: Sequence[str]) -> None:
+    def __init__(self, channels: Sequence[str], base_ns: int | None = None) -> None:
         self.channels = tuple(channels)
+        self._clock = start_clock() if base_ns is None else FrameClock(base_ns)
         self.end_ns = 0
         """The file is closed after this time; 0 while it is not known."""
         self._file: IO[str] | None = None
@@ -65,14 +69,14 @@ class RawLog:
         self._file = path.open("x", encoding="ascii")
         self._start_ns, self.end_ns, self._frames = start_ns, 0, 0
         try:
-            self._taps = [CanTap(channel, bus) for bus, channel in enumerate(self.channels)]
+            self._taps = [CanTap(channel, bus, self._clock) for bus, channel in enumerate(self.channels)]
         except OSError:
             self.close()
             raise
 
     def step(self) -> None:
         """Read, and write the frames that no older frame can precede any more. Raises OSError."""
-        horizon_ns = time.time_ns() - SETTLED_NS
+        horizon_ns = time.monotonic_ns() + self._clock.base_ns - SETTLED_NS
         for tap in self._taps:
             listen(tap, self._waiting)
         self._write(horizon_ns)
@@ -132,12 +136,12 @@ def report(**account: object) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def main(channels: Sequence[str]) -> None:
+def main(channels: Sequence[str], base_ns: int | None = None) -> None:
     # Only the end of stdin ends this process: a stopped service first ends its experiment, which shall be in the log.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.nice(NICENESS)
-    log = RawLog(channels)
+    log = RawLog(channels, base_ns)
     orders = Orders()
     while True:
         if select.select([sys.stdin], (), (), READ_PERIOD if log.is_open else None)[0]:
@@ -196,4 +200,6 @@ def attempt(action: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    names = sys.argv[1:]
+    given = names.index("--base") if "--base" in names else len(names)
+    main(names[:given], int(names[given + 1]) if given < len(names) else None)

@@ -13,16 +13,20 @@ from pathlib import Path
 
 
 class RawLogProcess:
-    """One raw log process for the SocketCAN `channels`; its errors go to `event(severity, code, text)`.
+    """One raw log process for the SocketCAN `channels`; its errors go to `event(severity, code, text)`. `base_ns` is
+    that of the clock of this process, by default the wall clock's.
 
     Create it in a running event loop.
     """
 
-    def __init__(self, channels: Sequence[str], event: Callable[[str, str, str], None]) -> None:
+    def __init__(
+        self, channels: Sequence[str], event: Callable[[str, str, str], None], base_ns: int | None = None
+    ) -> None:
+        base = [] if base_ns is None else ["--base", str(base_ns)]
         self._event = event
         self._heard = b""
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "service.observer.raw_log", *channels],
+            [sys.executable, "-P", "-m", "service.observer.raw_log", *channels, *base],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

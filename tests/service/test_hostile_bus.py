@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from closed_loop import ClosedLoop
@@ -309,3 +310,13 @@ class TestVerifiedStop:
         closed.loop.set_up_done()
         closed.advance(3.0)
         assert "drive_unconfirmed" not in [code for _, code, _ in closed.witness.events]
+
+
+def test_time_stamps_that_stand_still_are_a_fault_of_their_own() -> None:
+    closed = upright()
+    deliver, frozen_ns = closed.loop.on_frames, closed.plant_side.time_ns
+    closed.loop.on_frames = lambda frames: deliver([replace(frame, timestamp_ns=frozen_ns) for frame in frames])  # type: ignore[method-assign]
+    closed.advance(3 * closed.vehicle.period)
+    assert closed.loop.mode is Mode.RUNNING
+    closed.advance(3 * closed.vehicle.period)
+    assert (closed.loop.mode, closed.loop.code) == (Mode.FAULT, "imu_time")

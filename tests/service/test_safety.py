@@ -79,6 +79,7 @@ ALWAYS = [
     (field(imu_age=NAN), Code.IMU_SILENT, ()),
     (field(imu_health=ImuHealth.SILENT), Code.IMU_SILENT, ()),
     (field(imu_health=ImuHealth.STUCK, imu_text="IMU repeats itself"), Code.IMU_STUCK, ("IMU repeats itself",)),
+    (field(imu_frozen=4), Code.IMU_TIME, ("5 IMU frame sets", "same time stamp")),
     (field(imu_health=ImuHealth.OUT_OF_RANGE), Code.IMU_OUT_OF_RANGE, ("out of range",)),
     (field(imu_health=ImuHealth.WRONG_LENGTH), Code.IMU_FORMAT, ("another format",)),
     (field(angle=0.1), MonocabCode.ROLL, ("5.73 deg", "5.00 deg")),
