@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bus import Bus, BusDown, BusError, BusGroup
+from drivers.bus_lock import BusLock, lock_buses
 from drivers.canopen_link import CanopenLink
 from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.cia402.setup import DriveReport, Supervision, configure
@@ -98,10 +99,20 @@ class Daemon:
         """Serve until stopped.
 
         Raises:
-            BusError: a bus could not be opened at the start.
+            BusError: a bus could not be opened at the start, or another daemon serves it.
             ApiError: the control socket could not be opened.
         """
+        locks = lock_buses((self.places.drives_bus, self.places.imu_bus))
+        try:
+            await self._serve(locks)
+        finally:
+            for lock in locks:
+                lock.close()
+
+    async def _serve(self, locks: list[BusLock]) -> None:
         self._open_buses()
+        for lock in locks:
+            lock.start()
         self.observer.on_exit = self._on_observer_exit
         self.loop.on_change = self._publish_state
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -67,3 +68,23 @@ def test_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
         time.sleep(0.5)
         assert status(tmp_path)["vehicle"] == "monocab"
         assert daemon.poll() is None
+
+
+def test_second_daemon_on_a_bus_is_refused_whatever_its_socket(tmp_path: Path) -> None:
+    bus = f"udp_multicast:239.74.163.{os.getpid() % 200 + 20}"
+    first_place, second_place = tmp_path / "first", tmp_path / "second"
+    command = [sys.executable, "-c", SERVE, "serve", "monocab", "--bus", bus]
+    with (tmp_path / "log").open("wb") as log:
+        first = subprocess.Popen([*command, "--data", first_place, "--socket", first_place / "s.sock"], stderr=log)
+        try:
+            until((first_place / "s.sock").exists)
+            second = subprocess.run(
+                [*command, "--data", second_place, "--socket", second_place / "s.sock"], capture_output=True, timeout=30
+            )
+            assert second.returncode == 1
+            said = " ".join(second.stderr.decode().split())
+            assert f"{bus} is already served by process {first.pid} (upright serve monocab" in said
+            assert first.poll() is None
+        finally:
+            first.terminate()
+            first.wait(30)
