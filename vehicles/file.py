@@ -26,6 +26,10 @@ from vehicles.sections import DriveSection, ExperimentSection, VehicleFile
 __all__ = ["DriveSection", "ExperimentSection", "VehicleFile", "VehicleFileError", "load", "schema", "shipped"]
 
 
+OUT_OF_RANGE = ("greater_than", "less_than_equal", "finite_number")
+"""Errors of pydantic that mean that a limit is not in its range."""
+
+
 class VehicleFileError(UprightError):
     """A vehicle file that cannot be used. `file` and `key` say where, `remedy` says what to change."""
 
@@ -109,6 +113,8 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
         elif first["type"] == "missing":
             message = "is missing"
             remedy = "Add it; the shipped vehicle files show every key with its unit."
+        elif first["type"] in OUT_OF_RANGE and (found := _range(kind, first["loc"])):
+            message = f"{found} (found {first['input']!r})"
         elif "input" in first and not isinstance(first["input"], dict | BaseModel):
             message = f"{message} (found {first['input']!r})"
         more = len(error.errors()) - 1
@@ -117,12 +123,29 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
         raise VehicleFileError(file, key, message, remedy=remedy) from error
 
 
+def _range(kind: type[VehicleFile], location: tuple[int | str, ...]) -> str:
+    """The range of the limit at `location`, with the reason, in words; "" for any other key."""
+    model = _section(kind, location)
+    field = model.model_fields.get(str(location[-1])) if model is not None else None
+    extra = field.json_schema_extra if field is not None else None
+    if field is None or not isinstance(extra, dict) or "$comment" not in extra:
+        return ""
+    most = next(each.le for each in field.metadata if hasattr(each, "le"))
+    return f"must be above 0 and at most {most:g}: {extra['$comment']}"
+
+
 def _known_keys(kind: type[VehicleFile], location: tuple[int | str, ...]) -> list[str]:
     """The keys of the section that `location` is in."""
+    model = _section(kind, location)
+    return list(model.model_fields) if model is not None else []
+
+
+def _section(kind: type[VehicleFile], location: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """The section that `location` is in."""
     model: Any = kind
     for part in location[:-1]:
         if isinstance(part, str) and part in model.model_fields:
             annotation = model.model_fields[part].annotation
             inner = [a for a in getattr(annotation, "__args__", ()) if isinstance(a, type) and issubclass(a, BaseModel)]
             model = inner[0] if inner else annotation
-    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
+    return model if isinstance(model, type) and issubclass(model, BaseModel) else None

@@ -23,8 +23,14 @@ NodeId = Annotated[int, Field(ge=1, le=127)]
 BusAddress = Annotated[str, Field(pattern=r"^[a-z_0-9]+:.+$", description="IFACE:CHANNEL, as in socketcan:can0")]
 
 
+def up_to(most: float, why: str) -> Any:
+    """The field of a limit: above 0, at most `most` in its unit. `why` is the reason, after a colon, for whoever enters
+    more."""
+    return Field(gt=0, le=most, json_schema_extra={"$comment": why})
+
+
 class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class VehicleSection(Section):
@@ -49,9 +55,9 @@ class ControlSection(Section):
     """Hz: the IMU's stream rate, which is the clock of the control loop."""
     master_node: NodeId = 127
     """CANopen node id of this service."""
-    heartbeat_period: Positive = 0.04
+    heartbeat_period: Annotated[float, up_to(0.5, "drives that are monitored less often run on for too long")] = 0.04
     """s between heartbeats of the control loop."""
-    heartbeat_timeout: Positive = 0.12
+    heartbeat_timeout: Annotated[float, up_to(1.0, "so long a drive runs on when the service is gone")] = 0.12
     """s without the heartbeat after which a drive stops by itself (written to 1016h)."""
     lease: Annotated[float, Field(ge=0.2, le=2.0)] = 0.3
     """s without a renewal by the client that started an experiment, after which it ends in an orderly way."""
@@ -91,13 +97,13 @@ class ImuSection(Section):
     acceleration_sign: Literal[1, -1] = 1
     """-1 if the device reports -1 g along the axis that points up."""
     angular_rate_unit: Literal["deg/s", "rad/s"] = "deg/s"
-    acceleration_range: Positive = 39.2
+    acceleration_range: Annotated[float, up_to(400.0, "no reading would count as implausible")] = 39.2
     """m/s^2."""
-    angular_rate_range_deg: Positive = 400.0
+    angular_rate_range_deg: Annotated[float, up_to(4000.0, "no reading would count as implausible")] = 400.0
     """deg/s."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m, from the axis that the vehicle falls about to the accelerometer, in vehicle axes."""
-    latency: NotNegative = 0.0
+    latency: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """s from the measurement to the last frame on the bus."""
     filter: FilterSection
 
@@ -189,7 +195,7 @@ class ParameterEntry(Section):
 class LimitsSection(Section):
     """Limits of every kind of vehicle; each has further limits of its own."""
 
-    support_deg: Positive
+    support_deg: Annotated[float, up_to(45.0, "a support carries a vehicle that leans, not one that lies")]
     missed_cycles: Annotated[int, Field(ge=1, le=50)] = 3
 
 

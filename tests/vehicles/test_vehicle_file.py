@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from vehicles.file import VehicleFileError, load, shipped
+from vehicles.file import VehicleFileError, load, schema, shipped, shipped_file
 
 MONOCAB = (Path(__file__).parents[2] / "vehicles" / "monocab" / "vehicle.toml").read_text()
 
@@ -41,7 +42,7 @@ def test_user_vehicle_file_loads_and_changes_the_hash(tmp_path: Path) -> None:
         ("heartbeat_timeout = 0.12", "heartbeat_timeout = 0.05", "control", "at least twice heartbeat_period"),
         ("support_deg = 4.0", "support_deg = 5.0", "limits", "resting on a support would be a fault"),
         ("precession_budget_deg = 45.0", "precession_budget_deg = 75.0", "limits", "cannot end in an orderly way"),
-        ("precession_deg = 60.0", "precession_deg = 95.0", "limits", "below 90"),
+        ("precession_deg = 60.0", "precession_deg = 95.0", "limits.precession_deg", "below 90"),
         ("node = 2", "node = 1", "", "two drives have the same node id"),
         ("node = 2", "node = 127", "", "also the node id of a drive"),
         ("base_id = 0x18A", "base_id = 0x182", "", "is also a drive's node id"),
@@ -81,3 +82,37 @@ def test_invalid_toml_error_names_the_line(tmp_path: Path) -> None:
 def test_missing_file_error_lists_the_shipped_vehicles() -> None:
     with pytest.raises(VehicleFileError, match=r"cannot be read: No such file.*monocab"):
         load("nowhere")
+
+
+LIMITS = [(name, key) for name in shipped() for key in type(load(name).limits).model_fields]
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "1e9", "0.0", "-1.0"])
+@pytest.mark.parametrize(("name", "key"), LIMITS)
+def test_limit_beyond_what_the_vehicle_survives_is_refused(tmp_path: Path, name: str, key: str, value: str) -> None:
+    path = tmp_path / "limits.toml"
+    head, limits = shipped_file(name).read_text().split("[limits]\n")
+    section, rest = limits.split("\n[", 1)
+    lines = [line for line in section.splitlines() if line.split(" =")[0] != key]
+    path.write_text(f"{head}[limits]\n{key} = {value}\n" + "\n".join(lines) + f"\n[{rest}")
+    with pytest.raises(VehicleFileError) as refused:
+        load(str(path))
+    assert refused.value.key == f"limits.{key}"
+    if key != "missed_cycles":
+        assert re.search(r"must be above 0 and at most [\d.]+: .{15,} \(found ", str(refused.value)), str(refused.value)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_limit_has_its_range_in_the_schema(name: str) -> None:
+    kind = type(load(name)).__name__.removesuffix("File")
+    properties = schema()["$defs"][f"{kind}Limits"]["properties"]
+    assert all("maximum" in each for each in properties.values())
+
+
+def test_no_number_of_a_vehicle_file_is_infinite(tmp_path: Path) -> None:
+    for key in ("acceleration_std = ", "rated_torque = ", "roll_weight = "):
+        text = shipped_file("monocab").read_text()
+        path = tmp_path / "infinite.toml"
+        path.write_text(re.sub(rf"^{key}\S+", f"{key}inf", text, count=1, flags=re.MULTILINE))
+        with pytest.raises(VehicleFileError, match="finite number"):
+            load(str(path))

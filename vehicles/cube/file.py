@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import model_validator
 
@@ -17,21 +17,22 @@ from vehicles.sections import (
     Positive,
     Role,
     VehicleFile,
+    up_to,
 )
 
 
 class CubeLimits(LimitsSection):
     """Limits of tilt, wheel and torque. `support_deg` is the tilt at which the cube lies on a support."""
 
-    tilt_deg: Positive
-    tilt_rate_deg: Positive
-    upright_deg: Positive
+    tilt_deg: Annotated[float, up_to(60.0, "a cube that leans further lies beside its supports")]
+    tilt_rate_deg: Annotated[float, up_to(600.0, "an impact at this rate breaks a cube")]
+    upright_deg: Annotated[float, up_to(45.0, "a cube that leans further has fallen")]
     """A cube that leans further while it is balanced has fallen."""
-    wheel_rate: Positive
+    wheel_rate: Annotated[float, up_to(1500.0, "a wheel that turns faster may burst")]
     """rad/s of the wheel relative to the body."""
-    wheel_rate_budget: Positive
+    wheel_rate_budget: Annotated[float, up_to(1500.0, "a wheel that turns faster may burst")]
     """rad/s, at which an experiment ends in an orderly way."""
-    torque: Positive
+    torque: Annotated[float, up_to(5.0, "a larger torque throws the cube over")]
     """N m at the wheel: that of the drive's current limit."""
 
     @model_validator(mode="after")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import model_validator
 
@@ -18,6 +18,7 @@ from vehicles.sections import (
     Positive,
     Role,
     VehicleFile,
+    up_to,
 )
 
 ROLL_REFERENCE, TRIM_RATE = "roll_reference", "trim_rate"
@@ -29,16 +30,20 @@ REDUCED, FULL = "reduced", "full"
 class MonocabLimits(LimitsSection):
     """Limits of roll, gimbals and trim mass."""
 
-    roll_deg: Positive
-    roll_rate_deg: Positive
-    precession_deg: Positive
-    precession_budget_deg: Positive
-    precession_rate: Positive
-    precession_acceleration: Positive
-    gimbal_mismatch_deg: Positive
-    trim_position: Positive
-    trim_rate: Positive
-    trim_acceleration: Positive = 0.5
+    roll_deg: Annotated[float, up_to(15.0, "a vehicle that leans further has left the rail")]
+    roll_rate_deg: Annotated[
+        float, up_to(90.0, "an impact on the supports at this rate breaks them; a fall has 12 deg/s")
+    ]
+    precession_deg: Annotated[float, up_to(89.0, "it must be below 90, where the gyro has no roll torque left")]
+    precession_budget_deg: Annotated[float, up_to(89.0, "it must be below 90, where the gyro has no roll torque left")]
+    precession_rate: Annotated[
+        float, up_to(5.0, "the gyroscopic torque at a higher rate is beyond the gimbals' bearings")
+    ]
+    precession_acceleration: Annotated[float, up_to(500.0, "no gimbal drive follows it")]
+    gimbal_mismatch_deg: Annotated[float, up_to(20.0, "gimbals that differ by more twist the frame")]
+    trim_position: Annotated[float, up_to(2.0, "the vehicle is not wider")]
+    trim_rate: Annotated[float, up_to(2.0, "a trim mass at a higher rate breaks its end stops")]
+    trim_acceleration: Annotated[float, up_to(20.0, "no trim drive follows it")] = 0.5
     """m/s^2, of the setpoint."""
     load_torque: Positive = 600.0
     """N m, the largest load on the vehicle that is no fault: a person who sits down is 550 N m."""
@@ -55,8 +60,6 @@ class MonocabLimits(LimitsSection):
             raise ValueError(
                 "precession_budget_deg must be below precession_deg, or a run cannot end in an orderly way"
             )
-        if self.precession_deg >= 90:
-            raise ValueError("precession_deg must be below 90: there the gyro has no roll torque left")
         return self
 
 

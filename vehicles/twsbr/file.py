@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import model_validator
 
@@ -17,23 +17,24 @@ from vehicles.sections import (
     Positive,
     Role,
     VehicleFile,
+    up_to,
 )
 
 
 class TwsbrLimits(LimitsSection):
     """Limits of tilt, wheels and voltage. `support_deg` is the tilt at which the robot lies on a bumper."""
 
-    tilt_deg: Positive
-    tilt_rate_deg: Positive
-    upright_deg: Positive
+    tilt_deg: Annotated[float, up_to(60.0, "a robot that leans further lies beside its supports")]
+    tilt_rate_deg: Annotated[float, up_to(600.0, "an impact at this rate breaks a robot")]
+    upright_deg: Annotated[float, up_to(45.0, "a robot that leans further has fallen")]
     """A robot that leans further while it is balanced has fallen."""
-    wheel_rate: Positive
+    wheel_rate: Annotated[float, up_to(200.0, "a robot that drives so fast is a danger to people")]
     """rad/s of each wheel relative to the body."""
-    voltage: Positive
+    voltage: Annotated[float, up_to(60.0, "a higher voltage is a danger to people (IEC 61140)")]
     """V at a motor: that of the supply."""
-    travel: Positive
+    travel: Annotated[float, up_to(100.0, "nobody sees the end of such a test stand")]
     """m from where it got up: the edge of the test stand."""
-    travel_budget: Positive
+    travel_budget: Annotated[float, up_to(100.0, "nobody sees the end of such a test stand")]
     """m from where it got up, at which an experiment ends in an orderly way."""
 
     @model_validator(mode="after")
