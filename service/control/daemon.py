@@ -114,6 +114,7 @@ class Daemon:
         for lock in locks:
             lock.start()
         self.observer.on_exit = self._on_observer_exit
+        self.observer.on_obstacle = lambda text: self.loop.end_experiment(text.rstrip("."), "recording")
         self.loop.on_change = self._publish_state
         try:
             await self.observer.start()
@@ -185,7 +186,7 @@ class Daemon:
         while True:
             if self._bus_down.is_set():
                 await self._reopen_buses()
-            if not self.observer.alive:
+            if not self.observer.complete:
                 await self.observer.restart()
             if self.loop.needs_set_up and not self.loop.cut_off:
                 try:

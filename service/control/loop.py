@@ -79,6 +79,8 @@ class Observer(Protocol):
 
     @property
     def ready(self) -> bool: ...
+    @property
+    def obstacle(self) -> str: ...
     def offer(self, frame: Frame) -> None: ...
     def start_recording(self, name: str, start_ns: int, metadata: dict[str, str]) -> None: ...
     def stop_recording(self, reason: str, end_ns: int) -> None: ...
@@ -413,6 +415,8 @@ class ControlLoop:
                 return ["The drives are being set up."]
             case Mode.DISARMED if not self._observer.ready:
                 return ["The observer process is not ready: nothing would be recorded."]
+            case Mode.DISARMED if self._observer.obstacle:
+                return [self._observer.obstacle]
             case Mode.DISARMED:
                 return strangers(self.foreign, self._now_ns) + interlocks(
                     self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence

@@ -42,6 +42,8 @@ class ObserverClient:
         """The live diagnosis of the running or last recording, as `diagnose --json`."""
         self.on_exit: Callable[[int], None] = lambda status: None
         """Called with the exit status if the observer ended unexpectedly."""
+        self.on_obstacle: Callable[[str], None] = lambda text: None
+        """Called with the reason if a recording that runs cannot be written."""
         self.on_command: Callable[[dict[str, Any]], None] = lambda command: None
         """Called with a command received by MQTT: verb, client, id, arguments."""
         self._hello = hello
@@ -56,6 +58,8 @@ class ObserverClient:
         """The last message of each retained topic, for an observer that is started later."""
         self._report: dict[str, Any] = {}
         self._recording: dict[str, Any] = {}
+        self._open = False
+        """Whether a recording has been started and not been stopped."""
         self._dropped_before = 0
         self._finished: asyncio.Future[dict[str, Any]] | None = None
 
@@ -72,19 +76,34 @@ class ObserverClient:
         return self.alive and bool(self._report)
 
     @property
+    def obstacle(self) -> str:
+        """Why a recording would not be complete, as a sentence with the remedy; "" if it would."""
+        if self._raw_log is not None and not self._raw_log.alive:
+            return "Raw frames would not be recorded: their process ended. It is started again; wait for a second."
+        return str(self._report.get("obstacle", ""))
+
+    @property
+    def complete(self) -> bool:
+        """Whether all processes run."""
+        return self.alive and (self._raw_log is None or self._raw_log.alive)
+
+    @property
     def pid(self) -> int | None:
         """Process id of the observer."""
         return self._process.pid if self._process is not None else None
 
     async def start(self) -> None:
         """Start the observer and, for SocketCAN, the raw log. Returns before they are up: the pipe holds until then."""
-        buses = [address.partition(":")[2] for address in self._hello["raw_log_buses"]]
-        if buses:
-            self._raw_log = RawLogProcess(buses, self.event, self._hello.get("clock_base_ns"))
         await self.restart()
 
     async def restart(self) -> None:
-        """Start the observer if there is none. A recording that the old one had started is not resumed."""
+        """Start what does not run. A recording that an old observer had started is not resumed; a new raw log begins
+        with the next recording."""
+        buses = [address.partition(":")[2] for address in self._hello["raw_log_buses"]]
+        if buses and not self._recording and (self._raw_log is None or not self._raw_log.alive):
+            if self._raw_log is not None:
+                await self._raw_log.stop()
+            self._raw_log = RawLogProcess(buses, self.event, self._hello.get("clock_base_ns"))
         if self.alive:
             return
         self._report = {}
@@ -121,6 +140,7 @@ class ObserverClient:
         if self._finished is not None and not self._finished.done():
             self._finished.set_result(self._unfinished("the observer process ended"))
         self._recording = {}
+        self._open = False
         if not self._stopping:
             self._counts.exits += 1
             self.on_exit(status)
@@ -150,6 +170,7 @@ class ObserverClient:
         self._finished = asyncio.get_running_loop().create_future()
         self.estimates, self.diagnosis = {}, None
         self._dropped_before = self._counts.frames_dropped
+        self._open = True
         if self._raw_log is not None:
             self._raw_log.open(raw_log, start_ns)
         self._post(
@@ -159,6 +180,7 @@ class ObserverClient:
     def stop_recording(self, reason: str, end_ns: int) -> None:
         """Record up to and including the cycle of `end_ns`, which may not be offered yet; then await the results."""
         # The raw log shall contain the setpoints of the last cycle, but not the next complete IMU frame set.
+        self._open = False
         raw_end_ns = end_ns + round(0.5e9 / self._hello["rate"])
         if self._raw_log is not None:
             self._raw_log.close(raw_end_ns)
@@ -175,10 +197,14 @@ class ObserverClient:
         """
         if self._finished is None:
             return {}
+        raw_log = self._raw_log
         try:
-            return await asyncio.wait_for(asyncio.shield(self._finished), timeout)
+            summary = await asyncio.wait_for(asyncio.shield(self._finished), timeout)
         except TimeoutError:
-            return self._unfinished(f"not finished within {timeout:g} s")
+            summary = self._unfinished(f"not finished within {timeout:g} s")
+        if raw_log is not None and raw_log.failure and not summary["failure"]:
+            return {**summary, "failure": raw_log.failure}
+        return summary
 
     def retain(self, topic: str, document: dict[str, Any]) -> None:
         """Send a document to be retained by the broker; an observer that is started later gets it, too."""
@@ -218,10 +244,15 @@ class ObserverClient:
                 self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
             case "report":
                 self._report = message
+                if self._open and message.get("obstacle"):
+                    self.on_obstacle(message["obstacle"])
             case "command":
                 self.on_command(message)
             case "finished" if message["recording"] == self._recording.get("recording"):
                 self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
+                if self._open and message["failure"]:
+                    self.on_obstacle(f"Nothing is recorded: {message['failure']}.")
+                self._open = False
                 if self._finished is not None and not self._finished.done():
                     self._finished.set_result({**self._recording, **message})
                 self._recording = {}

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import os
 import signal
@@ -34,6 +35,7 @@ from service.observer.live_prediction import LivePrediction, live_prediction
 from service.observer.news import News
 from service.observer.online_estimators import EstimatorBank, online_estimators
 from service.observer.recorder import Recorder
+from service.observer.storage_check import obstacle
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame
 from vehicles import registry
@@ -45,6 +47,9 @@ SWITCH_INTERVAL = 1e-3
 
 WRITE_PERIOD = 1.0
 """s between two writes of batches to the disk."""
+
+PROBE_TURNS = 4
+"""Turns of `WRITE_PERIOD` between two attempts to write in the folder of the recordings; each turn if it failed."""
 
 ESTIMATE_PERIOD = 0.25
 """s between two sets of estimates."""
@@ -89,6 +94,8 @@ class Observer:
         self._writing = asyncio.Lock()
         self._storing: set[asyncio.Task[None]] = set()
         self._trouble = ""
+        self._data = Path(hello["data"]).absolute()
+        self._obstacle = ""
         self._telemetry = TelemetryBatches(self._channels.names, hello["rate"], hello["mqtt"]["telemetry_rate"])
         self._new_prediction = partial(live_prediction, hello, self._channels)
         self._prediction: LivePrediction | None = None
@@ -264,19 +271,23 @@ class Observer:
         })  # fmt: skip
 
     async def _write_regularly(self) -> None:
-        while True:
+        for turn in itertools.count():
             await asyncio.sleep(WRITE_PERIOD)
             recorder = self._recorder
+            if turn % PROBE_TURNS == 0 or self._obstacle:
+                self._obstacle = await asyncio.to_thread(obstacle, self._data)
             if recorder is not None:
                 async with self._writing:
                     try:
                         await asyncio.to_thread(recorder.write, recorder.take())
                     except OSError as error:
+                        self._obstacle = f"Nothing is recorded any more: {recorder.path}: {error.strerror}."
                         self._report_error("recorder", f"{recorder.path}: {error}")
             self._send({
                 "type": "report",
                 "mqtt": self._mqtt.summary() if self._mqtt else None,
                 "trouble": self._trouble,
+                "obstacle": self._obstacle,
             })  # fmt: skip
 
     # Results

@@ -23,7 +23,10 @@ class RawLogProcess:
         self, channels: Sequence[str], event: Callable[[str, str, str], None], base_ns: int | None = None
     ) -> None:
         base = [] if base_ns is None else ["--base", str(base_ns)]
+        self.failure = ""
+        """Why the log of the running or last recording is not complete, "" if it is."""
         self._event = event
+        self._stopping = False
         self._heard = b""
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "service.observer.raw_log", *channels, *base],
@@ -42,8 +45,14 @@ class RawLogProcess:
     def pid(self) -> int:
         return self._process.pid
 
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.poll() is None
+
     def open(self, path: Path, start_ns: int) -> None:
         """Log the frames from `start_ns` on to the new file `path`."""
+        self.failure = ""
         self._order(f"open {start_ns} {path}")
 
     def close(self, end_ns: int) -> None:
@@ -52,6 +61,7 @@ class RawLogProcess:
 
     async def stop(self) -> None:
         """Close the file, if one is open, and end the process."""
+        self._stopping = True
         if self._answers.closed:
             return
         with contextlib.suppress(BrokenPipeError):
@@ -70,7 +80,12 @@ class RawLogProcess:
         try:
             self._orders.write(order.encode() + b"\n")
         except BrokenPipeError:
-            self._event("error", "raw_log", "the raw log process ended: raw frames are not logged any more")
+            self._fail("the raw log process ended: raw frames are not logged any more")
+
+    def _fail(self, text: str) -> None:
+        if text != self.failure:
+            self.failure = text
+            self._event("error", "raw_log", text)
 
     def _read(self) -> None:
         """Read lines of JSON: an error, or the report of a closed file."""
@@ -79,6 +94,8 @@ class RawLogProcess:
             if heard is None:
                 break
             if not heard:
+                if not self._stopping:
+                    self._fail("the raw log process ended: raw frames are not logged any more")
                 asyncio.get_running_loop().remove_reader(self._answers)
                 break
             self._heard += heard
@@ -86,6 +103,6 @@ class RawLogProcess:
         for line in lines:
             account = json.loads(line)
             if account.get("error"):
-                self._event("error", "raw_log", account["error"])
+                self._fail(account["error"])
             elif account["lost"]:
                 self._event("warning", "raw_log", f"{account['lost']} frames did not reach {account['path']}")

@@ -63,6 +63,7 @@ class Witness:
     """Replaces the observer process: stores the messages of the loop."""
 
     ready: bool = True
+    obstacle: str = ""
     frames: list[Frame] = field(default_factory=list)
     recordings: list[tuple[str, int]] = field(default_factory=list)
     """Name and start, ns."""
