@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,9 +13,11 @@ import pytest
 from drivers.imu import ImuHealth
 from service.control.safety import DriveObservation, Observation, Safety
 from vehicles.bounds import OK, Code, Reaction
+from vehicles.cube.kind import CubeCode
 from vehicles.file import load
 from vehicles.monocab.axes import GimbalMeasurement
 from vehicles.monocab.kind import MonocabCode, bounds
+from vehicles.twsbr.kind import TwsbrCode
 
 VEHICLE = load("monocab")
 SAFETY = Safety(
@@ -249,3 +252,9 @@ def test_nearest_limit_is_the_one_of_which_most_is_used() -> None:
     seen.angle = NAN
     found = SAFETY.nearest(seen)
     assert found is None or found[1] == 0.0
+
+
+def test_every_code_is_in_the_reference() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "faults.md").read_text()
+    codes: list[str] = [*Code, *MonocabCode, *TwsbrCode, *CubeCode]
+    assert [code for code in codes if code != Code.OK and f"`{code}`" not in page] == []
