@@ -53,10 +53,12 @@ class ServoAxis:
         self._integral_gain = self._gain * step / (4.0 * time_constant)
         self._prefilter = -math.expm1(-step / (4.0 * time_constant))
         self._lag = -math.expm1(-step / time_constant)
-        self._torque_limit = torque_limit
+        self.torque_limit = torque_limit
+        """Of the motor, at the axis."""
         self._encoder_step = encoder_step
         self._step = step
-        self._effects = effects
+        self.effects = effects
+        """What lies between setpoint and speed loop, in the order in which it acts."""
         self._reference = 0.0
         self._integral = 0.0
         self._count = 0
@@ -83,7 +85,7 @@ class ServoAxis:
         if self.mode is not AxisMode.DRIVEN:
             return 0.0
         target = self.setpoint
-        for effect in self._effects:
+        for effect in self.effects:
             target = effect(target)
         change = target - self.demand
         limit = self.ramp * self._step
@@ -95,7 +97,7 @@ class ServoAxis:
         self._reference += self._prefilter * (self.demand - self._reference)
         error = self._reference - self.measured_rate
         torque = self._gain * error + self._integral
-        limit = self._torque_limit
+        limit = self.torque_limit
         if -limit < torque < limit:
             self._integral += self._integral_gain * error
             self.limited = False

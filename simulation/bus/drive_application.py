@@ -46,6 +46,10 @@ class DriveApplication(ABC):
         """The NMT state lets the master control the drive (statusword bit 9)."""
         self.synchronous = False
         """SYNCs arrive (statusword bit 8 in mode 9)."""
+        self.supplied = True
+        """The power stage has its supply (statusword bit 4)."""
+        self.warning = False
+        """The drive warns, and goes on (statusword bit 7)."""
         self.image: dict[int, int] = {}
         self._config = config
         self._keys = (CONTROLWORD, STATUSWORD, *commands, MODE, ERROR_CODE, ERROR_REGISTER)
@@ -126,8 +130,10 @@ class DriveApplication(ABC):
         """The bits of the statusword that do not depend on the mode of operation."""
         state = self.power.state
         word = int(state)
-        if state is not PowerState.NOT_READY_TO_SWITCH_ON:
+        if self.supplied and state is not PowerState.NOT_READY_TO_SWITCH_ON:
             word |= 0x10
+        if self.warning:
+            word |= 0x80
         if self.remote:
             word |= 0x200
         return word

@@ -20,7 +20,8 @@ class Wheel:
         self.demand = 0.0
         self.torque = 0.0
         self._limit = truth.torque_limit
-        self._effects = effects
+        self.effects = effects
+        """What lies between demand and current loop, in the order in which it acts."""
         self._follows = -math.expm1(-step / truth.torque_lag)
         self._pitch = 2.0 * math.pi / truth.encoder_increments_per_turn
         self._smooths = -math.expm1(-step / truth.rate_filter)
@@ -51,7 +52,7 @@ class Wheel:
         self.limited = abs(target) > self._limit
         self.demand = min(self._limit, max(-self._limit, target))
         acts = self.demand
-        for effect in self._effects:
+        for effect in self.effects:
             acts = effect(acts)
         acts += self._noise * self._random.gauss(0.0, 1.0)
         self.torque = self.torque + self._follows * (acts - self.torque) if self.powered else 0.0

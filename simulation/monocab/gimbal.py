@@ -37,7 +37,8 @@ class Gimbal:
         self.axis = axis
         self.angle = 0.0
         self.rate = 0.0
-        self._momentum = momentum
+        self.momentum = momentum
+        """N m s, of the flywheel."""
         self._drag = drag
         self._brake_torque = brake_torque
         self._step = step
@@ -46,7 +47,7 @@ class Gimbal:
 
     def advance(self, roll_rate: float) -> float:
         """Move on by one step while the vehicle rolls at `roll_rate`; returns the resulting roll torque, N m."""
-        momentum = self._momentum
+        momentum = self.momentum
         if self._coupling:
             momentum *= 1.0 + self._coupling * (math.cos(self.angle) - 1.0)
         if self._backlash:

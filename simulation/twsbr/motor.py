@@ -31,7 +31,8 @@ class Motor:
         self.torque = 0.0
         """N m at the wheel."""
         self._encoder = Encoder(2.0 * math.pi / truth.encoder_counts_per_turn, step)
-        self._effects = effects
+        self.effects = effects
+        """What lies between target and bridge, in the order in which it acts."""
         self._nominal = truth.supply_voltage
         self._pwm_steps = truth.pwm_steps
         self._constant = truth.gear_ratio * truth.torque_constant
@@ -66,7 +67,7 @@ class Motor:
         share = self.target / self._nominal
         self.limited = abs(share) > 1.0
         volts = round(min(1.0, max(-1.0, share)) * self._pwm_steps) / self._pwm_steps * self._nominal
-        for effect in self._effects:
+        for effect in self.effects:
             volts = effect(volts)
         self.duty = min(1.0, max(-1.0, volts / self._nominal))
         gain = self._constant / self._resistance
