@@ -64,6 +64,8 @@ class DriveNode:
     vendor_id: int = 0
     """Reported in 1018h:1; 0 leaves the EDS's value."""
     product_code: int = 0
+    revision: int = 0
+    """Of the firmware, 1018h:3; likewise."""
     rpdo: Sequence[Sequence[str]] = (("controlword", "target_velocity", "target_velocity_fine"),)
     tpdo: Sequence[Sequence[str]] = (("statusword", "velocity_actual", "torque_actual"), ("position_actual",))
     target_velocity_fine_index: int = 0x2F15

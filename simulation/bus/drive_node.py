@@ -116,7 +116,7 @@ class VirtualDrive:
         node, config = self._node, self.config
         for index in [index for index in node.data_store if index in COMMUNICATION_AREA]:
             del node.data_store[index]
-        for subindex, value in ((1, config.vendor_id), (2, config.product_code)):
+        for subindex, value in ((1, config.vendor_id), (2, config.product_code), (3, config.revision)):
             if value:
                 node.data_store.setdefault(0x1018, {})[subindex] = struct.pack("<I", value)
         write_default_pdos(node, config)
