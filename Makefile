@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test benchmark clean
+.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults benchmark clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -55,6 +55,9 @@ vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in 
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
 	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and not thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
+
+faults: $(READY) ## every fault in every part of a run, for every vehicle, as one table; ARGS="--phase rise --markdown"
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m faults.table $(ARGS)
 
 benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes
 	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc mosquitto:mosquitto chromium:chromium

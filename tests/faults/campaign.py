@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from faults.bench import Bench, Phase, VehicleFile
+from faults.bench import Bench
 from faults.fault import EXPERIMENTS, SIDE_LOAD, Fault, When, harmless
 from faults.outcome import Outcome, Situation, run
 from faults.verdict import verdict
-from vehicles.file import load
+from vehicles.file import VehicleFile, load
+from vehicles.phases import Phase
 
 T = TypeVar("T")
 
@@ -31,8 +32,8 @@ FREE_FALL = {"monocab": 12.0, "twsbr": 0.0, "cube": 0.0}
 where it is harder because the vehicle moved before, it is measured."""
 MOVED_ON = 0.1
 """s later, and the vehicle moves otherwise: control is switched off at the injection, and after the detection."""
-TOLERANCE = 1.02
-"""The impact is read once in a cycle."""
+TOLERANCE = {"monocab": 1.02, "twsbr": 1.05, "cube": 1.05}
+"""The impact is read once in a cycle, in which a vehicle on its way down gains this share of its rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +71,8 @@ def short_form(vehicle: VehicleFile) -> VehicleFile:
         experiments[name] = experiments[name].model_copy(update={"duration": DURATION, **faster})
     if SIDE_LOAD in experiments:
         section = experiments[SIDE_LOAD]
-        load = section.load.model_copy(update={"after": SITS_DOWN})
-        experiments[SIDE_LOAD] = section.model_copy(update={"duration": LONGER, "load": load})
+        person = section.load.model_copy(update={"after": SITS_DOWN}) if section.load is not None else None
+        experiments[SIDE_LOAD] = section.model_copy(update={"duration": LONGER, "load": person})
     return vehicle.model_copy(update={"experiments": experiments})
 
 
@@ -111,7 +112,7 @@ def campaign(
     """The results for this vehicle and experiment, as they come in."""
     for situation, bench in situations(kind, experiment, whens):
         chosen = [fault for fault in faults if kind in fault.kinds and situation.when in fault.when]
-        usual = _switched_off(bench, situation, lambda bench: None)
+        usual = max(_switched_off(bench, situation, lambda bench: None), _lowered(bench, situation))
 
         yield from in_processes([Trial(fault, situation, bench, usual) for fault in chosen], processes)
 
@@ -128,7 +129,15 @@ def _switched_off(bench: Bench, situation: Situation, inject: Callable[[Bench], 
         return run(bench, harmless("switched_off", "control is switched off", off), situation)
 
     outcomes = in_processes([lambda: fall(0.0), lambda: fall(MOVED_ON)], 1)
-    return round(max(FREE_FALL[situation.kind], TOLERANCE * max(outcome.impact for outcome in outcomes)), 1)
+    hardest = max(outcome.impact for outcome in outcomes)
+    return round(max(FREE_FALL[situation.kind], TOLERANCE[situation.kind] * hardest), 1)
+
+
+def _lowered(bench: Bench, situation: Situation) -> float:
+    """The impact of a run without a fault, deg/s: a robot is not lowered, but tipped over."""
+    healthy = harmless("healthy", "nothing happens", lambda bench: None)
+    (outcome,) = in_processes([lambda: run(bench, healthy, situation)], 1)
+    return round(TOLERANCE[situation.kind] * outcome.impact, 1)
 
 
 def in_processes(tasks: Sequence[Callable[[], T]], processes: int) -> Iterator[T]:

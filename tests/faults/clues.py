@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from math import degrees, radians
+from typing import Any
 
 from faults.bench import Bench
 from faults.fault import DETECTED
@@ -59,7 +60,9 @@ class SpeedLoop:
 def follows(bench: Bench, drive: VirtualDrive) -> Callable[[], float]:
     """By how much an axis misses what a healthy one would do with the daemon's setpoints, in its tolerances."""
     driver = next(each for each in bench.io.drives if each.config.name == drive.config.name)
-    axis, limits, period = drive.servo.axis, bench.vehicle.limits, bench.vehicle.period  # type: ignore[attr-defined]
+    axis: Any = drive.servo.axis  # type: ignore[attr-defined]
+    limits: Any = bench.vehicle.limits
+    period = bench.vehicle.period
     role = drive.config.role
     if role in RATE:
         loop = SpeedLoop(bench.lags(drive) / 4.0)
@@ -67,18 +70,18 @@ def follows(bench: Bench, drive: VirtualDrive) -> Callable[[], float]:
         for setpoints in tuple(bench.setpoints)[:-1]:  # the last one acts until the first test
             loop.rate(setpoints[place], period)
         if role == "gimbal":
-            return lambda: abs(loop.rate(driver.setpoint, period) - axis.rate) / RATE[role]
+            return lambda: float(abs(loop.rate(driver.setpoint, period) - axis.rate)) / RATE[role]
         healthy = axis.position
 
         def elsewhere() -> float:
             nonlocal healthy
             healthy += loop.rate(driver.setpoint, period) * period
-            return abs(healthy - axis.position) / TRIM
+            return float(abs(healthy - axis.position)) / TRIM
 
         return elsewhere
     torque = hasattr(limits, "torque")
     tolerance = SHARE * (limits.torque if torque else limits.voltage)
-    return lambda: abs(driver.setpoint - (axis.torque if torque else axis.demand)) / tolerance
+    return lambda: float(abs(driver.setpoint - (axis.torque if torque else axis.demand)) / tolerance)
 
 
 def not_followed(bench: Bench) -> Callable[[], bool]:
@@ -100,11 +103,12 @@ def trim_not_followed(bench: Bench) -> Callable[[], bool]:
 def axis_lies(bench: Bench) -> Callable[[], bool]:
     """Position or rate that the daemon holds of a drive are not those that its encoder had at the last SYNC."""
     pairs = [(driver, bench.drives[driver.config.name]) for driver in bench.io.drives]
+    limits: Any = bench.vehicle.limits
 
     def test() -> bool:
         for driver, drive in pairs:
             config, image = drive.config, drive.servo.image
-            tolerance = RATE.get(config.role) or WHEEL * bench.vehicle.limits.wheel_rate
+            tolerance = RATE.get(config.role) or WHEEL * limits.wheel_rate
             per_turn = config.direction * config.axis_per_turn
             position = image[POSITION_ACTUAL] * per_turn / config.increments_per_turn
             rate = image[VELOCITY_ACTUAL] * per_turn / 60.0 * config.velocity_unit_rpm
@@ -138,7 +142,8 @@ def flywheels_weak(bench: Bench) -> Callable[[], bool]:
 
 def budget_used_up(bench: Bench) -> Callable[[], bool]:
     """The gimbals have turned as far as an experiment may turn them, or the vehicle lies on a support."""
-    budget = radians(bench.vehicle.limits.precession_budget_deg)
+    limits: Any = bench.vehicle.limits
+    budget = radians(limits.precession_budget_deg)
     return lambda: abs(bench.truth.precession) > budget or abs(bench.leans[0]) > LYING * bench.support
 
 

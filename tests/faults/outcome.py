@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import degrees
 
-from faults.bench import Bench, Mode, Moment, moving
+from faults.bench import Bench, Moment, moving
 from faults.fault import End, Fault, When
-from vehicles.phases import UPRIGHT
+from service.control.loop import Mode
+from vehicles.phases import UPRIGHT, Phase
 
 AFTER = 3.0
 """s that are watched after the end: a quick stop takes 1 s, the recording goes on for 2 s."""
@@ -94,14 +96,14 @@ def run(bench: Bench, fault: Fault, situation: Situation) -> Outcome:
     def since(time: float | None) -> float | None:
         return None if time is None else round((time - begin) * 1e3, 1)
 
-    known = next(iter(knowable), None)
-    if known is not None and situation.when in (When.REST, When.ENABLE):
-        # Nothing has to be known of a drive, or of how the vehicle moves, before a drive can move it.
-        powered = next((moment.time for moment in trace if moment.powered), None)
-        known = known if powered is None else max(known, powered)
     detected = next((moment.time for moment in trace if _noticed(moment, events)), None)
     if detected is None and end is End.IN_ORDER:
         detected = over_at
+    known = next(iter(knowable), None)
+    if known is not None and situation.when in (When.REST, When.ENABLE):
+        # On its support the vehicle is safe: the fault has to be known before it rises.
+        rises = next((moment.time for moment in trace if moment.phase is Phase.RISE), detected)
+        known = max(known, rises or known)
     off = next((later.time for later, now in zip(trace[::-1], trace[-2::-1], strict=False) if now.powered), begin)
     upright = (moment for moment in trace if moment.phase in UPRIGHT and moment.mode is Mode.RUNNING)
     return Outcome(
@@ -125,9 +127,9 @@ def run(bench: Bench, fault: Fault, situation: Situation) -> Outcome:
     )
 
 
-def _note_when(test: object, knowable: list[float], bench: Bench) -> None:
+def _note_when(test: Callable[[], bool], knowable: list[float], bench: Bench) -> None:
     def look() -> None:
-        if not knowable and test():  # type: ignore[operator]
+        if not knowable and test():
             knowable.append(bench.truth.time)
 
     bench.each_cycle.append(look)

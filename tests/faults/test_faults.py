@@ -142,7 +142,7 @@ def test_nothing_is_wrong_with_what_was_expected(fault: Fault, outcome: Outcome)
         (STOPPED, AS_STOPPED, {"detected": 101.0}, "detected after 101 ms"),
         (STOPPED, AS_STOPPED, {"detected": 171.0, "known": 70.0}, "detected after 101 ms"),
         (STOPPED, AS_STOPPED, {"impact": 12.1}, "hit the support at 12.1 deg/s"),
-        (STOPPED, AS_STOPPED, {"off": 1600.0}, "drives off 1.6 s after the detection"),
+        (STOPPED, AS_STOPPED, {"off": 1620.0}, "drives off 1.6 s after the stop"),
         (STOPPED, AS_STOPPED, {"missing": None}, "the recording was not closed"),
         (STOPPED, AS_STOPPED, {"missing": 1.2}, "the recording lacks its last 1.2 s"),
         (STOPPED, AS_STOPPED, {"interlocks": ()}, "is not refused"),

@@ -6,7 +6,7 @@ from faults.fault import End, Fault, When
 from faults.outcome import Outcome
 
 SAFE = 1.5
-"""s from detection to the last power stage: 1 s of quick stop, and the drives' own time-outs of 0.12 s before it."""
+"""s from the stop to the last power stage: 1 s of quick stop, and the drives' own time-outs of 0.12 s before it."""
 WHOLE = 1.0
 """s that a recording may lack at its end."""
 
@@ -77,10 +77,10 @@ def _hard(outcome: Outcome, impact: float) -> list[str]:
 
 def _lost(fault: Fault, outcome: Outcome) -> list[str]:
     found = []
-    if outcome.end is End.STOPPED and outcome.detected is not None and outcome.off is not None:
-        late = (outcome.off - outcome.detected) * 1e-3
+    if outcome.end is End.STOPPED and outcome.ended is not None and outcome.off is not None:
+        late = (outcome.off - outcome.ended) * 1e-3
         if late > SAFE:
-            found.append(f"drives off {late:.1f} s after the detection")
+            found.append(f"drives off {late:.1f} s after the stop")
     if outcome.missing is None:
         found.append("the recording was not closed")
     elif outcome.missing > WHOLE:

@@ -88,37 +88,43 @@ def bus_off_unreported(bench: Bench) -> None:
     cut(bench)
 
 
+def each_cycle(bench: Bench, count: int, send: Callable[[], None]) -> None:
+    """`send` so many frames in each cycle."""
+
+    def burst() -> None:
+        for _ in range(count):
+            send()
+
+    bench.each_cycle.append(burst)
+
+
 def error_frames(bench: Bench) -> None:
     """Twenty error frames in each cycle, as from a bad termination, and every 50th frame is lost."""
     lost(0.02)(bench)
-    kinds = ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR
-    bench.each_cycle.append(lambda: [bench.to_daemon(kinds, bytes(8), error=True) for _ in range(20)] and None)
+    each_cycle(bench, 20, lambda: bench.to_daemon(ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR, bytes(8), error=True))
 
 
 def rubbish(bench: Bench) -> None:
     """Four frames of ids that nobody has, in each cycle."""
     draw = random.Random(2)
-    bench.each_cycle.append(
-        lambda: [bench.from_stranger(draw.choice(RUBBISH), draw.randbytes(8)) for _ in range(4)] and None
-    )
+    each_cycle(bench, 4, lambda: bench.from_stranger(draw.choice(RUBBISH), draw.randbytes(8)))
 
 
 def long_frames(bench: Bench) -> None:
-    """A stranger sends frames of 64 bytes, as CAN FD has them, under the ids of the IMU."""
-    bench.each_cycle.append(lambda: bench.to_daemon(bench.imu_ids[0], bytes(64)))
+    """A stranger sends frames of 64 bytes, as CAN FD has them, under an id of the IMU."""
+    each_cycle(bench, 1, lambda: bench.to_daemon(bench.imu_ids[0], bytes(64)))
 
 
 def extended_ids(bench: Bench) -> None:
     """A stranger sends frames whose ids of 29 bits look like those of the IMU and of a drive."""
-    ids = (bench.imu_ids[0], 0x180 + bench.main[0].config.node)
-    bench.each_cycle.append(lambda: [bench.to_daemon(each, bytes(8), extended=True) for each in ids] and None)
+    for can_id in (bench.imu_ids[0], 0x180 + bench.main[0].config.node):
+        each_cycle(bench, 1, lambda can_id=can_id: bench.to_daemon(can_id, bytes(8), extended=True))  # type: ignore[misc]
 
 
 def babble(bench: Bench) -> None:
     """A node with the highest priority sends without a pause: nobody else gets a frame through."""
     cut(bench)
-    count = round(FULL_LOAD * 1e3 * bench.vehicle.period)
-    bench.each_cycle.append(lambda: [bench.to_daemon(0x001, bytes(8)) for _ in range(count)] and None)
+    each_cycle(bench, round(FULL_LOAD * 1e3 * bench.vehicle.period), lambda: bench.to_daemon(0x001, bytes(8)))
 
 
 def first_setpoint(bench: Bench) -> tuple[int, ...]:

@@ -372,6 +372,7 @@ FAULTS: tuple[Fault, ...] = (
         on(one, commands_itself(QUICK_STOP)),
         Code.DRIVE_NOT_ENABLED,
         within=CONTROL_LOST,
+        when=UP,
     ),
     stopped(
         "drive_falls_back",

@@ -192,6 +192,7 @@ FAULTS: tuple[Fault, ...] = (
         "another node sends the master's heartbeat, and nothing that is sent arrives any more",
         second_heartbeat_and_dead,
         Code.DRIVE_SILENT,
+        Code.DRIVE_EMERGENCY,
         *FOREIGN,
         within=CONTROL_LOST,
         why="the drives stop by their RPDO time-out",
