@@ -13,10 +13,12 @@ from vehicles.phases import UPRIGHT, Phase
 
 AFTER = 3.0
 """s that are watched after the end: a quick stop takes 1 s, the recording goes on for 2 s."""
-LONGEST = 40.0
-"""s after which a run that has not ended never does; lowering and centring have time-outs of 12 s and 30 s."""
+LONGEST = 65.0
+"""s after which a run that has not ended never does: with every phase as long as its time-out it takes 61 s."""
 LYING = 0.95
 """Share of the support's angle beyond which the vehicle lies on it."""
+AWAY = 0.9
+"""Share of the support's angle below which the vehicle has left it."""
 CONTACT = 0.98
 """Share of the support's angle at which an impact begins."""
 STEP = 0.02
@@ -40,9 +42,10 @@ class Outcome:
     """Times in ms from the injection, None for what did not happen; angles in deg.
 
     `known` is when the fault could be known, `detected` when the daemon did something about it or reported it,
-    `ended` when the run was over, `off` when the last power stage was; `fell` is when the vehicle lay on a support
-    while it was to be upright. `impact` is the hardest on a support, deg/s. `still_on` and `still_moving` name drives
-    three seconds after the end. `missing` is what the recording lacks before the end, s; None: it was not closed.
+    `ended` when the run was over, `off` when the last power stage was. `fell` is when the vehicle lay on a support
+    while it was to be upright; `rose`: it was off its supports at some time. `impact` is the hardest on a support,
+    deg/s. `still_on` and `still_moving` name drives three seconds after the end. `missing` is what the recording lacks
+    before the end, s; None: it was not closed.
     """
 
     fault: str
@@ -55,6 +58,7 @@ class Outcome:
     ended: float | None
     off: float | None
     fell: float | None
+    rose: bool
     peak: float
     impact: float
     still_on: tuple[str, ...]
@@ -117,6 +121,7 @@ def run(bench: Bench, fault: Fault, situation: Situation) -> Outcome:
         ended=since(next((moment.time for moment in trace if moment.mode is not Mode.RUNNING), None)),
         off=None if still_on else since(off),
         fell=since(next((moment.time for moment in upright if abs(moment.angle) > LYING * bench.support), None)),
+        rose=any(abs(moment.angle) < AWAY * bench.support for moment in trace),
         peak=round(degrees(max(abs(moment.angle) for moment in trace)), 2),
         impact=round(degrees(_impact(trace, bench.support)), 1),
         still_on=still_on,
@@ -174,6 +179,6 @@ def _impact(trace: list[Moment], support: float) -> float:
         if lying and away:
             hardest = max(hardest, rate, abs(moment.rate))
             away = False
-        away = away or abs(moment.angle) < 0.9 * support
+        away = away or abs(moment.angle) < AWAY * support
         rate = abs(moment.rate)
     return hardest

@@ -117,6 +117,7 @@ AS_STOPPED = Outcome(
     ended=20.0,
     off=100.0,
     fell=None,
+    rose=True,
     peak=4.2,
     impact=11.9,
     still_on=(),
@@ -158,10 +159,13 @@ def test_what_is_wrong_is_said(fault: Fault, outcome: Outcome, changes: dict[str
     assert any(words in each for each in wrong), wrong
 
 
-def test_at_rest_a_fault_may_end_the_run_either_way() -> None:
+@pytest.mark.parametrize("rose", [False, True])
+def test_on_its_support_a_fault_may_end_the_run_either_way(rose: bool) -> None:
     situation = Situation("monocab", "hold", When.REST)
-    outcome = dataclasses.replace(AS_STOPPED, situation=situation, end=End.IN_ORDER, code="done", reason="no IMU")
-    assert verdict(STOPPED, outcome, 12.0) == []
+    outcome = dataclasses.replace(
+        AS_STOPPED, situation=situation, end=End.IN_ORDER, code="done", reason="no IMU", rose=rose
+    )
+    assert bool(verdict(STOPPED, outcome, 12.0)) == rose
 
 
 def test_command_knows_vehicles_phases_and_faults() -> None:

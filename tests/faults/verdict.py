@@ -40,9 +40,10 @@ def _wrong_end(fault: Fault, outcome: Outcome) -> list[str]:
     when = outcome.situation.when
     if when is When.AFTERMATH:
         return [] if outcome.code == "operator" else [f"the first reason was replaced by {outcome.code}"]
-    if when in (When.REST, When.ENABLE) and End.HARMLESS not in ends:
-        # On the support both are as safe, and a fault that has passed by itself is none.
-        ends |= {End.STOPPED, End.IN_ORDER} | ({End.HARMLESS} if fault.passes else set())
+    if not outcome.rose and End.HARMLESS not in ends:
+        ends |= {End.STOPPED, End.IN_ORDER}  # on the support one is as safe as the other
+    if when in (When.REST, When.ENABLE) and fault.passes:
+        ends.add(End.HARMLESS)
     if outcome.known is None:
         ends.add(End.HARMLESS)  # it had no consequence by which it could be known
     if outcome.end not in ends:
