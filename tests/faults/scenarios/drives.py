@@ -37,6 +37,8 @@ PAIRS = ("monocab", "twsbr")
 """Kinds with two drives that hold the vehicle up."""
 QUICK_STOP, SHUTDOWN = 0x02, 0x06
 WARNING, VENDOR_WARNING, UNDER_VOLTAGE = 0x80, 0xFF01, 0x3220
+SIZES = {"statusword": 2, "velocity_actual": 4, "torque_actual": 2, "position_actual": 4}
+"""Bytes of the objects in TPDOs."""
 OTHER_PRODUCT, OTHER_REVISION = 0x0BAD, 0x0002_0000
 
 
@@ -179,14 +181,13 @@ def frozen(*, position: bool, rate: bool) -> Callable[[Bench, VirtualDrive], obj
     """The drive goes on reporting its present position or rate."""
 
     def act(bench: Bench, drive: VirtualDrive) -> None:
-        sizes = {"statusword": 2, "velocity_actual": 4, "torque_actual": 2, "position_actual": 4}
         places: dict[int, list[slice]] = {}
         for can_id, names in zip(tpdos(drive), drive.config.tpdo, strict=True):
             begin = 0
             for name in names:
                 if (name == "position_actual" and position) or (name == "velocity_actual" and rate):
-                    places.setdefault(can_id, []).append(slice(begin, begin + sizes[name]))
-                begin += sizes[name]
+                    places.setdefault(can_id, []).append(slice(begin, begin + SIZES[name]))
+                begin += SIZES[name]
         kept: dict[int, bytes] = {}
 
         def through(frame: CanFrame) -> list[CanFrame]:
@@ -214,7 +215,8 @@ def short_pdos(bench: Bench, drive: VirtualDrive) -> None:
 def same_id(bench: Bench, drive: VirtualDrive) -> None:
     """Another node sends random bytes under the id of the drive's first TPDO."""
     draw = random.Random(3)
-    bench.each_cycle.append(lambda: bench.to_daemon(tpdos(drive)[0], draw.randbytes(8)))
+    size = sum(SIZES[name] for name in drive.config.tpdo[0])
+    bench.each_cycle.append(lambda: bench.to_daemon(tpdos(drive)[0], draw.randbytes(size)))
 
 
 def cut_supply(bench: Bench, drive: VirtualDrive) -> None:
