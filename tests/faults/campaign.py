@@ -47,7 +47,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One fault on a prepared bench; `usual` is the impact with control switched off where the fault does not push."""
+    """One fault on a prepared bench; `usual` is the hardest impact without it: control switched off, or lowered."""
 
     fault: Fault
     situation: Situation
@@ -57,12 +57,12 @@ class Trial:
     def __call__(self) -> Result:
         impact = self.usual
         if self.fault.pushes:
-            impact = _switched_off(self.bench, self.situation, self.fault.inject)
+            impact = max(impact, _switched_off(self.bench, self.situation, self.fault.inject))
         outcome = run(self.bench, self.fault, self.situation)
         return Result(outcome, impact, verdict(self.fault, outcome, impact))
 
 
-def short_form(vehicle: VehicleFile) -> VehicleFile:
+def shortened(vehicle: VehicleFile) -> VehicleFile:
     """The vehicle file with experiments of the campaign's duration."""
     experiments = dict(vehicle.experiments)
     for name in EXPERIMENTS:
@@ -78,7 +78,7 @@ def short_form(vehicle: VehicleFile) -> VehicleFile:
 
 def situations(kind: str, experiment: str, whens: Sequence[When]) -> Iterator[tuple[Situation, Bench]]:
     """The vehicle in each of these situations, in order; the caller must not advance it."""
-    bench = Bench(short_form(load(kind)))
+    bench = Bench(shortened(load(kind)))
     interlocks = bench.loop.interlocks()
     if interlocks:
         raise RuntimeError(f"{kind} cannot run: {' '.join(interlocks)}")

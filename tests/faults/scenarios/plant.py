@@ -13,6 +13,8 @@ from simulation.load import Load
 
 STEP = 0.004
 """s in which a torque steps on."""
+PUSH, PUSHED = 0.1, 0.45
+"""s of a push, and the rate that it gives, as the share of the way to the support in a second."""
 BEAM = 2.5
 """deg at which the obstacle is."""
 FELL = (Wanted.FALLEN, Wanted.UNRECOVERABLE, "precession")
@@ -47,9 +49,9 @@ def torque(size: float, seconds: float | None = None) -> Callable[[Bench], None]
 
 
 def shove(bench: Bench) -> None:
-    """A push for a tenth of a second, of as much as gravity pulls at half of the support's angle."""
-    stiffness = bench.plant_side.config.plant.gravity_stiffness  # type: ignore[attr-defined]
-    torque(0.5 * stiffness * bench.support, 0.1)(bench)
+    """A push for a tenth of a second, after which the vehicle falls over within a few seconds if nobody holds it."""
+    inertia = bench.plant_side.config.plant.falling_inertia
+    torque(inertia * PUSHED * bench.support / PUSH, PUSH)(bench)
 
 
 def beam(bench: Bench) -> None:
