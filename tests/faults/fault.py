@@ -52,20 +52,24 @@ MONOCAB = ("monocab",)
 
 
 class Wanted(StrEnum):
-    """Reasons that no bound or driver of the product gives yet, but that an operator needs to be told."""
+    """Reasons beyond those that IMU, drives and limits have had from the start."""
 
-    SETPOINT_NOT_FOLLOWED = "setpoint_not_followed"
-    AXIS_IMPLAUSIBLE = "axis_implausible"
-    IMU_IMPLAUSIBLE = "imu_implausible"
-    IMU_RATE = "imu_rate"
-    CLOCK = "clock"
-    FOREIGN_FRAME = "foreign_frame"
+    GIMBAL_FOLLOWING = "gimbal_following"
+    TRIM_FOLLOWING = "trim_following"
+    WHEEL_FOLLOWING = "wheel_following"
+    TORQUE_BALANCE = "torque_balance"
+    AXIS_CONTRADICTION = "axis_contradiction"
+    IMU_CONTRADICTION = "imu_contradiction"
+    GYRO_JUMP = "gyro_jump"
+    IMU_TIME = "imu_time"
+    FOREIGN_MASTER = "foreign_master"
+    FOREIGN_SDO = "foreign_sdo"
     FALLEN = "fallen"
-    UNRECOVERABLE = "unrecoverable"
-    FLYWHEEL = "flywheel"
+    RECOVERY = "recovery"
     DRIVE_WARNING = "drive_warning"
     DRIVE_HEARTBEAT = "drive_heartbeat"
-    NO_VOLTAGE = "drive_no_voltage"
+    DRIVE_NO_VOLTAGE = "drive_no_voltage"
+    DRIVE_NOT_REMOTE = "drive_not_remote"
     BUS_DOWN = "bus_down"
 
 
@@ -82,9 +86,10 @@ Clue = Callable[[Bench], Callable[[], bool]]
 class Fault:
     """One fault. `what` in an operator's words; `inject` makes it happen on a bench.
 
-    `ends` are the ends that are right and `codes` the reasons: any of them if a run is stopped. A reason in words that
-    an orderly end has to contain is in `says`, in lower case. The fault has to be detected `within` s (None: nothing
-    has to be reported) from `since`, by default from its injection; `why` gives the reason for what is not obvious.
+    `ends` are the ends that are right and `codes` the reasons: any of them if a run is stopped. An orderly end has one
+    of them, too, or its reason in words contains one of `says`, in lower case. The fault has to be detected `within` s
+    (None: nothing has to be reported) from `since`, by default from its injection; `why` gives the reason for what is
+    not obvious.
     """
 
     name: str
@@ -194,5 +199,6 @@ def harmless(
 
 SILENT_IMU = (Code.IMU_SILENT, Code.IMU_STUCK, Code.IMU_FORMAT, Code.IMU_OUT_OF_RANGE)
 """Any of what can be said of an IMU that sends nothing usable."""
-NOT_FOLLOWED = (Wanted.SETPOINT_NOT_FOLLOWED,)
-LYING_IMU = (Wanted.IMU_IMPLAUSIBLE,)
+NOT_FOLLOWED = (Wanted.GIMBAL_FOLLOWING, Wanted.TRIM_FOLLOWING, Wanted.WHEEL_FOLLOWING)
+LYING_IMU = (Wanted.IMU_CONTRADICTION, Wanted.GYRO_JUMP)
+STRANGER = (Wanted.FOREIGN_MASTER, Wanted.FOREIGN_SDO)

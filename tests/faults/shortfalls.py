@@ -8,34 +8,37 @@ from __future__ import annotations
 SHORTFALLS: dict[str, str] = {
     # IMU
     "gyro_frozen": (
-        "wrong reason: trim_rate, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 348 "
-        "ms, allowed: 50 ms; hit the support at 30.9 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_rate, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; "
+        "detected after 348 ms, allowed: 50 ms; hit the support at 30.9 deg/s, 12.8 deg/s with control switched "
+        "off"
     ),
     "gyro_dead": (
-        "wrong reason: trim_rate, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 340 "
-        "ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_rate, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; "
+        "detected after 340 ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched "
+        "off"
     ),
     "gyro_all_zero": (
-        "wrong reason: trim_rate, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 340 "
-        "ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_rate, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; "
+        "detected after 340 ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched "
+        "off"
     ),
     "accelerometer_frozen": "harmless (done), expected: ended in order; not detected",
     "accelerometer_zero": "harmless (done), expected: ended in order; not detected",
     "gyro_offset_2": (
-        "wrong reason: roll, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 8512 ms, "
-        "allowed: 50 ms"
+        "wrong reason: roll, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; detected "
+        "after 8512 ms, allowed: 50 ms"
     ),
     "gyro_offset_5": (
-        "wrong reason: precession, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 1516"
-        " ms, allowed: 50 ms"
+        "wrong reason: precession, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; "
+        "detected after 1516 ms, allowed: 50 ms"
     ),
     "gyro_offset_10": (
-        "wrong reason: roll, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 948 ms, "
-        "allowed: 50 ms; hit the support at 17.8 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: roll, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; detected "
+        "after 948 ms, allowed: 50 ms; hit the support at 17.8 deg/s, 12.8 deg/s with control switched off"
     ),
     "gyro_offset_30": (
-        "wrong reason: roll, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 316 ms, "
-        "allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: roll, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; detected "
+        "after 316 ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
     ),
     "gyro_drift": (
         "harmless (done), expected: ended in order; not detected; hit the support at 13.7 deg/s, 12.8 deg/s with "
@@ -46,23 +49,25 @@ SHORTFALLS: dict[str, str] = {
     "accelerometer_offset": "stopped (precession), expected: ended in order; detected after 3740 ms, allowed: 100 ms",
     "gyro_denormal": (
         "wrong reason: trim_rate, expected imu_silent or imu_stuck or imu_format or imu_out_of_range or "
-        "imu_implausible; detected after 340 ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with "
-        "control switched off"
+        "imu_contradiction or gyro_jump; detected after 340 ms, allowed: 50 ms; hit the support at 31.4 deg/s, "
+        "12.8 deg/s with control switched off"
     ),
     "imu_slots_exchanged": (
         "detected after 76 ms, allowed: 50 ms; hit the support at 16.0 deg/s, 12.8 deg/s with control switched off"
     ),
     "imu_turned": (
-        "wrong reason: trim_rate, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 320 "
-        "ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_rate, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; "
+        "detected after 320 ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched "
+        "off"
     ),
     "gyro_reversed": (
-        "wrong reason: roll, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 312 ms, "
-        "allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: roll, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; detected "
+        "after 312 ms, allowed: 50 ms; hit the support at 31.4 deg/s, 12.8 deg/s with control switched off"
     ),
     "gyro_in_radians": (
-        "wrong reason: trim_rate, expected imu_implausible or imu_stuck or imu_out_of_range; detected after 324 "
-        "ms, allowed: 50 ms; hit the support at 31.5 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_rate, expected imu_contradiction or gyro_jump or imu_stuck or imu_out_of_range; "
+        "detected after 324 ms, allowed: 50 ms; hit the support at 31.5 deg/s, 12.8 deg/s with control switched "
+        "off"
     ),
     "imu_frames_twice": "stopped (imu_silent), expected: harmless",
     "imu_late_80ms": (
@@ -79,12 +84,12 @@ SHORTFALLS: dict[str, str] = {
     "stamps_jitter": "stopped (imu_silent), expected: harmless",
     "stamps_zero": "stopped (imu_silent), expected: harmless or ended in order",
     "stamps_frozen": (
-        "wrong reason: precession, expected clock or imu_silent; detected after 1316 ms, allowed: 100 ms; the "
+        "wrong reason: precession, expected imu_time or imu_silent; detected after 1316 ms, allowed: 100 ms; the "
         "recording was not closed"
     ),
     "imu_loose": (
-        "wrong reason: roll_rate, expected imu_implausible; detected after 124 ms, allowed: 100 ms; hit the "
-        "support at 14.1 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: roll_rate, expected imu_contradiction or gyro_jump; detected after 124 ms, allowed: 100 "
+        "ms; hit the support at 14.1 deg/s, 12.8 deg/s with control switched off"
     ),
     # drives
     "drive_heartbeat_lost": "not detected",
@@ -92,7 +97,8 @@ SHORTFALLS: dict[str, str] = {
     "drive_emergency_storm": "not detected",
     "drive_warning_bit": "not detected",
     "drive_mode_one": (
-        "wrong reason: gimbal_mismatch, expected setpoint_not_followed; detected after 440 ms, allowed: 50 ms"
+        "wrong reason: gimbal_mismatch, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 440 ms, allowed: 50 ms"
     ),
     "drive_mode_both": (
         "lay on a support after 964 ms and ended as done; ended in order (done), expected: stopped; detected "
@@ -102,39 +108,45 @@ SHORTFALLS: dict[str, str] = {
     "drives_unplugged": "hit the support at 15.2 deg/s, 12.8 deg/s with control switched off",
     "drive_other_firmware": "after a reset the next run is not refused for its revision",
     "axis_stuck_one": (
-        "wrong reason: gimbal_mismatch, expected setpoint_not_followed; detected after 416 ms, allowed: 50 ms"
+        "wrong reason: gimbal_mismatch, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 416 ms, allowed: 50 ms"
     ),
     "axis_stuck_both": (
         "lay on a support after 844 ms and ended as done; ended in order (done), expected: stopped; detected "
         "after 39480 ms, allowed: 50 ms"
     ),
     "axis_half_one": (
-        "wrong reason: gimbal_mismatch, expected setpoint_not_followed; detected after 3092 ms, allowed: 100 ms"
+        "wrong reason: gimbal_mismatch, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 3092 ms, allowed: 100 ms"
     ),
     "axis_half_both": "harmless (done), expected: stopped or ended in order; not detected",
     "axis_double_both": (
-        "wrong reason: precession_rate, expected setpoint_not_followed; detected after 356 ms, allowed: 100 ms"
+        "wrong reason: precession_rate, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 356 ms, allowed: 100 ms"
     ),
     "axis_reversed_one": (
-        "wrong reason: gimbal_mismatch, expected setpoint_not_followed; detected after 116 ms, allowed: 50 ms"
+        "wrong reason: gimbal_mismatch, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 116 ms, allowed: 50 ms"
     ),
     "axis_reversed_both": (
-        "wrong reason: trim_rate, expected setpoint_not_followed; detected after 392 ms, allowed: 50 ms; hit the "
-        "support at 31.0 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_rate, expected gimbal_following or trim_following or wheel_following; detected after "
+        "392 ms, allowed: 50 ms; hit the support at 31.0 deg/s, 12.8 deg/s with control switched off"
     ),
     "axis_runs_away_one": (
-        "wrong reason: gimbal_mismatch, expected setpoint_not_followed; detected after 108 ms, allowed: 50 ms"
+        "wrong reason: gimbal_mismatch, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 108 ms, allowed: 50 ms"
     ),
     "axis_runs_away_both": (
-        "wrong reason: precession, expected setpoint_not_followed; detected after 1752 ms, allowed: 50 ms; hit "
-        "the support at 23.3 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: precession, expected gimbal_following or trim_following or wheel_following; detected after"
+        " 1752 ms, allowed: 50 ms; hit the support at 23.3 deg/s, 12.8 deg/s with control switched off"
     ),
     "axis_creeps_both": (
-        "wrong reason: precession, expected setpoint_not_followed; detected after 18532 ms, allowed: 50 ms"
+        "wrong reason: precession, expected gimbal_following or trim_following or wheel_following; detected after"
+        " 18532 ms, allowed: 50 ms"
     ),
     "trim_runs_away": (
-        "wrong reason: trim_position, expected setpoint_not_followed; detected after 3024 ms, allowed: 100 ms; "
-        "hit the support at 27.5 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: trim_position, expected gimbal_following or trim_following or wheel_following; detected "
+        "after 3024 ms, allowed: 100 ms; hit the support at 27.5 deg/s, 12.8 deg/s with control switched off"
     ),
     "trim_creeps": "harmless (done), expected: stopped or ended in order; not detected",
     "trim_sticks": (
@@ -142,16 +154,17 @@ SHORTFALLS: dict[str, str] = {
         "detected after 6560 ms, allowed: 100 ms"
     ),
     "encoder_frozen_one": (
-        "wrong reason: gimbal_mismatch, expected axis_implausible or setpoint_not_followed; detected after 1048 "
-        "ms, allowed: 100 ms; hit the support at 13.7 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: gimbal_mismatch, expected axis_contradiction or torque_balance or gimbal_following or "
+        "trim_following or wheel_following; detected after 1048 ms, allowed: 100 ms; hit the support at 13.7 "
+        "deg/s, 12.8 deg/s with control switched off"
     ),
     "encoder_frozen_both": "detected after 38224 ms, allowed: 100 ms",
     "encoder_position_frozen_both": "detected after 37904 ms, allowed: 100 ms",
     "drives_no_voltage": "harmless (done), expected: stopped; not detected",
     "battery_low": "stopped (drive_emergency), expected: ended in order; detected after 2004 ms, allowed: 100 ms",
     "drive_ramp_changed": (
-        "wrong reason: precession, expected setpoint_not_followed; detected after 1168 ms, allowed: 50 ms; hit "
-        "the support at 26.1 deg/s, 12.8 deg/s with control switched off"
+        "wrong reason: precession, expected gimbal_following or trim_following or wheel_following; detected after"
+        " 1168 ms, allowed: 50 ms; hit the support at 26.1 deg/s, 12.8 deg/s with control switched off"
     ),
     # bus
     "loss_1": "stopped (drive_silent), expected: harmless",
@@ -179,8 +192,8 @@ SHORTFALLS: dict[str, str] = {
     ),
     "second_master_runs": (
         "still under power after the end: gimbal_left, gimbal_right; still moving after the end: gimbal_left, "
-        "gimbal_right; wrong reason: precession, expected foreign_frame; detected after 2772 ms, allowed: 50 ms; "
-        "hit the support at 19.8 deg/s, 12.8 deg/s with control switched off"
+        "gimbal_right; wrong reason: precession, expected foreign_master or foreign_sdo; detected after 2772 ms, "
+        "allowed: 50 ms; hit the support at 19.8 deg/s, 12.8 deg/s with control switched off"
     ),
     "second_master_once": "harmless (done), expected: stopped or ended in order; not detected",
     "second_sync": "not detected",

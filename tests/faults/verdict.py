@@ -50,9 +50,13 @@ def _wrong_end(fault: Fault, outcome: Outcome) -> list[str]:
         return [f"{_ended(outcome)}, expected: {' or '.join(end.value for end in fault.ends)}"]
     if outcome.end is End.STOPPED and outcome.code not in fault.codes and End.STOPPED in fault.ends:
         return [f"wrong reason: {outcome.code}, expected {' or '.join(fault.codes)}"]
-    if outcome.end is End.IN_ORDER and fault.says and not any(word in outcome.reason.lower() for word in fault.says):
+    if outcome.end is End.IN_ORDER and fault.says and not _says(fault, outcome):
         return [f"the reason does not mention {' or '.join(fault.says)}: {outcome.reason}"]
     return []
+
+
+def _says(fault: Fault, outcome: Outcome) -> bool:
+    return outcome.code in fault.codes or any(word in outcome.reason.lower() for word in fault.says)
 
 
 def _ended(outcome: Outcome) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from drivers.bus import BusDown
 from drivers.error_frames import ErrorClass
 from faults.bench import Bench
-from faults.fault import CONTROL_LOST, Fault, Wanted, harmless, stopped
+from faults.fault import CONTROL_LOST, NOT_FOLLOWED, Fault, Wanted, harmless, stopped
 from service.control.loop import HEARTBEAT, SYNC
 from telemetry.samples import CanFrame
 from vehicles.bounds import Code
@@ -172,7 +172,7 @@ FAULTS: tuple[Fault, ...] = (
         "setpoints_lost_one",
         "the setpoints of one drive do not arrive",
         without(first_setpoint),
-        Wanted.SETPOINT_NOT_FOLLOWED,
+        *NOT_FOLLOWED,
         Code.DRIVE_EMERGENCY,
         within=0.15,
         why="the drive itself notices after its RPDO time-out of 120 ms; it keeps its last setpoint until then",
@@ -232,7 +232,7 @@ FAULTS: tuple[Fault, ...] = (
         long_frames,
         reported=True,
         or_in_order=True,
-        or_stopped=(Code.IMU_FORMAT, Code.IMU_SILENT, Wanted.FOREIGN_FRAME),
+        or_stopped=(Code.IMU_FORMAT, Code.IMU_SILENT, Wanted.FOREIGN_MASTER),
         why="they are dropped for their length; that two nodes have one id, the operator has to know",
     ),
     harmless(

@@ -17,7 +17,7 @@ PUSH, PUSHED = 0.1, 0.45
 """s of a push, and the rate that it gives, as the share of the way to the support in a second."""
 BEAM = 2.5
 """deg at which the obstacle is."""
-FELL = (Wanted.FALLEN, Wanted.UNRECOVERABLE, "precession")
+FELL = (Wanted.FALLEN, Wanted.RECOVERY, "precession")
 
 
 def run_down(time_constant: float) -> Callable[[Bench], None]:
@@ -67,6 +67,7 @@ FAULTS: tuple[Fault, ...] = (
             f"flywheels_run_down_{seconds:g}s",
             f"the flywheels run down with a time constant of {seconds:g} s",
             run_down(seconds),
+            Wanted.TORQUE_BALANCE,
             says=("flywheel", "momentum"),
             since=clues.flywheels_weak,
             why="known once a tenth of the angular momentum is missing; then there is still enough to lower it",
@@ -93,6 +94,8 @@ FAULTS: tuple[Fault, ...] = (
             f"torque_{size}",
             f"a static torque of {size} N m steps on",
             torque(size),
+            Wanted.RECOVERY,
+            "precession_budget",
             since=clues.budget_used_up,
             why=OVER_ITS_LIMIT,
             kinds=MONOCAB,

@@ -9,12 +9,11 @@ import struct
 from collections.abc import Callable
 
 from faults.bench import TO_DRIVE, Bench
-from faults.fault import CONTROL_LOST, MONOCAB, Fault, Wanted, harmless, stopped
+from faults.fault import CONTROL_LOST, MONOCAB, NOT_FOLLOWED, STRANGER, Fault, Wanted, harmless, stopped
 from service.control.loop import HEARTBEAT, OPERATIONAL, SYNC
 from simulation.bus.drive_node import VirtualDrive
 from vehicles.bounds import Code
 
-FOREIGN = (Wanted.FOREIGN_FRAME,)
 ENABLED = 0x7F
 RESET_NODE, STOP_NODE, PRE_OPERATIONAL = 0x81, 0x02, 0x80
 ALL_NODES = 0
@@ -105,7 +104,7 @@ FAULTS: tuple[Fault, ...] = (
         "second_master_zero",
         "a second master sends the setpoint 0, enabled, in each cycle",
         setpoints(0.0),
-        *FOREIGN,
+        *STRANGER,
         within=CONTROL_LOST,
         why="a frame of one of our own ids that we did not send",
     ),
@@ -113,7 +112,7 @@ FAULTS: tuple[Fault, ...] = (
         "second_master_runs",
         "a second master runs the axes in each cycle",
         setpoints(RUN_SHARE),
-        *FOREIGN,
+        *STRANGER,
         within=CONTROL_LOST,
         why="a frame of one of our own ids that we did not send",
     ),
@@ -121,7 +120,7 @@ FAULTS: tuple[Fault, ...] = (
         "second_master_once",
         "a second master sends one single setpoint",
         one_setpoint,
-        *FOREIGN,
+        *STRANGER,
         or_in_order=True,
         why="who sends one will send more",
     ),
@@ -129,7 +128,7 @@ FAULTS: tuple[Fault, ...] = (
         "second_master_disables",
         "a second master switches the drives off in each cycle",
         setpoints(0.0, controlword=0),
-        *FOREIGN,
+        *STRANGER,
         Code.DRIVE_NOT_ENABLED,
         within=CONTROL_LOST,
     ),
@@ -138,7 +137,7 @@ FAULTS: tuple[Fault, ...] = (
         "another master resets a drive (NMT)",
         nmt(RESET_NODE, first),
         Code.DRIVE_RESTARTED,
-        *FOREIGN,
+        *STRANGER,
         within=CONTROL_LOST,
     ),
     stopped(
@@ -146,7 +145,7 @@ FAULTS: tuple[Fault, ...] = (
         "another master resets all nodes (NMT)",
         nmt(RESET_NODE, everybody),
         Code.DRIVE_RESTARTED,
-        *FOREIGN,
+        *STRANGER,
         within=CONTROL_LOST,
     ),
     stopped(
@@ -156,7 +155,8 @@ FAULTS: tuple[Fault, ...] = (
         Code.DRIVE_SILENT,
         Code.DRIVE_EMERGENCY,
         Code.DRIVE_NOT_ENABLED,
-        *FOREIGN,
+        Wanted.DRIVE_NOT_REMOTE,
+        *STRANGER,
         within=CONTROL_LOST,
     ),
     stopped(
@@ -166,7 +166,8 @@ FAULTS: tuple[Fault, ...] = (
         Code.DRIVE_SILENT,
         Code.DRIVE_EMERGENCY,
         Code.DRIVE_NOT_ENABLED,
-        *FOREIGN,
+        Wanted.DRIVE_NOT_REMOTE,
+        *STRANGER,
         within=CONTROL_LOST,
     ),
     harmless(
@@ -175,7 +176,7 @@ FAULTS: tuple[Fault, ...] = (
         second_sync,
         reported=True,
         or_in_order=True,
-        or_stopped=FOREIGN,
+        or_stopped=STRANGER,
         why="the drives apply and report at the wrong time, which costs half a cycle",
     ),
     harmless(
@@ -184,7 +185,7 @@ FAULTS: tuple[Fault, ...] = (
         second_heartbeat,
         reported=True,
         or_in_order=True,
-        or_stopped=FOREIGN,
+        or_stopped=STRANGER,
         why="the drives would no longer notice a dead master",
     ),
     stopped(
@@ -193,7 +194,7 @@ FAULTS: tuple[Fault, ...] = (
         second_heartbeat_and_dead,
         Code.DRIVE_SILENT,
         Code.DRIVE_EMERGENCY,
-        *FOREIGN,
+        *STRANGER,
         within=CONTROL_LOST,
         why="the drives stop by their RPDO time-out",
     ),
@@ -209,8 +210,8 @@ FAULTS: tuple[Fault, ...] = (
         "sdo_writes_mode",
         "somebody writes another mode of operation to the drives by SDO",
         sdo(WRITE_1, MODE, 9),
-        *FOREIGN,
-        Wanted.SETPOINT_NOT_FOLLOWED,
+        *STRANGER,
+        *NOT_FOLLOWED,
         within=CONTROL_LOST,
         kinds=MONOCAB,
         why="an SDO request that we did not send, to a drive that holds the vehicle up",
@@ -219,8 +220,8 @@ FAULTS: tuple[Fault, ...] = (
         "sdo_writes_ramp",
         "somebody writes an acceleration of 10 rpm/s to the drives by SDO",
         sdo(WRITE_4, ACCELERATION, 10),
-        *FOREIGN,
-        Wanted.SETPOINT_NOT_FOLLOWED,
+        *STRANGER,
+        *NOT_FOLLOWED,
         within=CONTROL_LOST,
         kinds=MONOCAB,
         why="an SDO request that we did not send, to a drive that holds the vehicle up",
