@@ -45,6 +45,10 @@ ORDERLY_END = 20.0
 """Time limit, s, for an experiment to lower the vehicle when the daemon shall end."""
 
 
+CONFIRMATION = 3.0
+"""Time limit, s, for the drives to confirm that they are off; without this process they stop by their watchdogs."""
+
+
 @dataclass(frozen=True, slots=True)
 class Places:
     """The daemon's interfaces: one or two bus addresses, the folder of the recordings and the control socket."""
@@ -280,6 +284,9 @@ class Daemon:
         if self.loop.mode is Mode.RUNNING:
             self.loop.stop_now("the daemon is being stopped, and the vehicle was not down in time")
             await asyncio.sleep(QUICK_STOP_TIME)
+        limit = time.monotonic() + CONFIRMATION
+        while self.loop.stopping and time.monotonic() < limit:
+            await asyncio.sleep(0.02)
 
     def status(self) -> dict[str, Any]:
         """The document of `upright status --json`."""

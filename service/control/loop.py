@@ -402,6 +402,11 @@ class ControlLoop:
         found = self._safety.nearest(self._seen) if self.run is not None else None
         return None if found is None else {"code": found[0].code.value, "percent": round(100.0 * found[1], 1)}
 
+    @property
+    def stopping(self) -> bool:
+        """Whether the drives still have to confirm that they are off."""
+        return not self._stop_check.over
+
     def interlocks(self) -> list[str]:
         """The reasons that prevent an experiment, as sentences; empty if there are none."""
         match self.mode:
@@ -411,6 +416,8 @@ class ControlLoop:
                 return [f"A fault is latched: {self.reason}. Remove its cause, then run `upright reset`."]
             case Mode.STARTING:
                 return [f"Not ready: {self.reason}."]
+            case Mode.DISARMED if self._stop_check.withheld:
+                return ["The drives are being stopped by a missing heartbeat: one has not confirmed that it is off."]
             case Mode.DISARMED if self.needs_set_up:
                 return ["The drives are being set up."]
             case Mode.DISARMED if not self._observer.ready:

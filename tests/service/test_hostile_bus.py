@@ -293,6 +293,18 @@ class TestVerifiedStop:
             assert closed.loop.reason.endswith("Stopped because: a limit was reached")
             assert fault is closed.loop.fault, "who has asked for the experiment is told, too"
 
+    def test_keeps_the_next_experiment_waiting(self) -> None:
+        closed = self.supervised()
+        self.deaf_to_controlwords(closed)
+        closed.loop.end_experiment("changed my mind")
+        said = []
+        for _ in range(3000):
+            closed.advance(closed.vehicle.period)
+            said += closed.loop.interlocks()
+            if closed.loop.stopping and said[-1].endswith("has not confirmed that it is off."):
+                break
+        assert "missing heartbeat" in said[-1]
+
     def test_of_a_drive_that_does_not_answer_is_not_confirmed(self) -> None:
         closed = self.supervised()
         closed.plant_side.drives["trim"].connected = False
