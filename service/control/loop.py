@@ -310,8 +310,8 @@ class ControlLoop:
             return
         enabled = check.enabled()
         if not enabled:
-            silent = " and ".join(drive.config.name for drive in check.unconfirmed())
-            text = f"drive {silent} has not confirmed to be off: check it by hand"
+            silent = ", ".join(drive.config.name for drive in check.unconfirmed())
+            text = f"not confirmed to be off, check by hand: {silent}"
             self._observer.event("error", Code.DRIVE_UNCONFIRMED, text)
             if self.fault is not None and self.mode is Mode.FAULT:
                 self._latch(self.fault.code, f"{self.fault.text}; {text}")

@@ -267,7 +267,7 @@ class TestVerifiedStop:
         assert not off(closed)
         closed.advance(1.5)
         assert off(closed)
-        assert closed.loop.reason == "test; drive trim has not confirmed to be off: check it by hand"
+        assert closed.loop.reason == "test; not confirmed to be off, check by hand: trim"
         before = self.heartbeats(closed)
         closed.advance(1.0)
         assert self.heartbeats(closed) > before, "it is withheld no longer than a drive waits for it"
@@ -312,7 +312,7 @@ class TestVerifiedStop:
         assert closed.loop.code == "drive_silent"
         assert closed.witness.events[-1][1:] == (
             "drive_unconfirmed",
-            "drive trim has not confirmed to be off: check it by hand",
+            "not confirmed to be off, check by hand: trim",
         )
 
     def test_ends_with_the_set_up_which_finds_the_drives_off(self) -> None:
