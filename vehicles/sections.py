@@ -504,6 +504,13 @@ class VehicleFile(Section):
         return 1.0 / self.control.rate
 
     @property
+    def setpoint_timeout(self) -> float:
+        """s without a setpoint after which a drive stops by itself (1400h:5 and up). The service itself stops after
+        `limits.missed_cycles` late cycles; a drive that goes on with its last setpoint for longer throws the vehicle
+        onto its support. Twice that, and a cycle and a half, but no longer than for a heartbeat."""
+        return min(self.control.heartbeat_timeout, (2 * self.limits.missed_cycles + 1.5) * self.period)
+
+    @property
     def support(self) -> float:
         """rad of the angle at which the supports (monorail) or the bumpers (robot) carry the vehicle."""
         return math.radians(self.limits.support_deg)

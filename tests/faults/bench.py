@@ -228,7 +228,7 @@ class Bench(virtual_run.ClosedLoop):
             master_node=control.master_node,
             heartbeat_period=control.heartbeat_period,
             heartbeat_timeout=control.heartbeat_timeout,
-            rpdo_timeout=control.heartbeat_timeout,
+            rpdo_timeout=self.vehicle.setpoint_timeout,
             cycle_period=self.vehicle.period,
         )
         self.set_up_error = ""
