@@ -8,11 +8,14 @@ import socket
 import struct
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
 from drivers.bus import Bus, BusDown, BusError, BusGroup
 from drivers.error_frames import ErrorClass
+from drivers.socketcan import start_clock
 from telemetry.samples import CanFrame
 
 pytestmark = pytest.mark.vcan
@@ -303,3 +306,30 @@ async def test_transmit_queue_that_stays_full_takes_the_bus_down(connection: Con
     statistics = connection.bus.statistics
     assert statistics.sent + statistics.transmit_dropped == 20
     assert statistics.transmit_retries < 100  # one try a millisecond: no busy loop
+
+
+@pytest.mark.skipif(
+    "User Mode Linux" not in Path("/proc/cpuinfo").read_text(), reason="sets the clock, which only a guest may lose"
+)
+async def test_steps_of_the_wall_clock_reach_no_time_stamp(interface: str) -> None:
+    clock = start_clock()
+    bus, peer = Bus.open(f"socketcan:{interface}", clock=clock), Peer(interface)
+    received: list[tuple[int, int]] = []
+
+    def on_frames(frames: list[CanFrame]) -> None:
+        now_ns = time.monotonic_ns() + clock.base_ns
+        received.extend((now_ns, frame.timestamp_ns) for frame in frames)
+
+    bus.start(on_frames, lambda down: None)
+    steps = {50: 0.02, 100: 3600.0, 150: -1.0, 200: -3599.02}
+    for number in range(250):
+        peer.send(0x123)
+        if number in steps:
+            time.clock_settime(time.CLOCK_REALTIME, time.time() + steps[number])
+        await asyncio.sleep(0.004)
+    bus.close()
+    peer.close()
+    assert clock.steps == len(steps)
+    assert len(received) >= 249
+    assert all(later > earlier for (_, earlier), (_, later) in pairwise(received))
+    assert all(-1_000_000 < now_ns - stamp_ns < 500_000_000 for now_ns, stamp_ns in received)
