@@ -45,11 +45,15 @@ class MonocabLimits(LimitsSection):
     trim_rate: Annotated[float, up_to(2.0, "a trim mass at a higher rate breaks its end stops")]
     trim_acceleration: Annotated[float, up_to(20.0, "no trim drive follows it")] = 0.5
     """m/s^2, of the setpoint."""
-    load_torque: Positive = 600.0
+    load_torque: Annotated[float, up_to(5000.0, "no trim mass balances it, and slow flywheels would not be found")] = (
+        600.0
+    )
     """N m, the largest load on the vehicle that is no fault: a person who sits down is 550 N m."""
-    gimbal_following_deg: Positive = 0.2
+    gimbal_following_deg: Annotated[
+        float, up_to(5.0, "a gimbal that stands still would be found after the vehicle has fallen")
+    ] = 0.2
     """deg by which a gimbal may move otherwise than any likely speed loop would move it; see `watch`."""
-    trim_following: Positive = 0.002
+    trim_following: Annotated[float, up_to(0.1, "a trim mass that runs away would be found at its end stop")] = 0.002
     """m, the same of the trim mass."""
 
     @model_validator(mode="after")

@@ -101,7 +101,7 @@ FAULTS: tuple[Fault, ...] = (
             kinds=MONOCAB,
             when=(When.SETTLE, When.EXCITE),
             pushes=True,
-            says=("precession", "recover"),
+            says=("precession", "recover", "no torque explains"),
         )
         for size in (1000, 1500)
     ),
