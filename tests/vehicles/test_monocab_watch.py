@@ -68,7 +68,7 @@ def stand_still(closed: Faulty, names: Sequence[str], changed: Callable[[float],
 def run_down(closed: Faulty) -> None:
     """The flywheels stand still."""
     for gimbal in closed.plant_side.plant.gimbals:  # type: ignore[attr-defined]
-        gimbal._momentum = 0.0
+        gimbal.momentum = 0.0
 
 
 def frozen_gyro() -> Callable[[list[float]], list[float]]:

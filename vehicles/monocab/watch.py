@@ -2,9 +2,9 @@
 gyro change by more than anything can accelerate the vehicle, and can the vehicle still be brought back upright?
 
 Axes. No speed loop within what is known of it explains a rate outside the band of their responses: twice the standard
-deviation of its lag, none to twice the reaction to the rolling vehicle, setpoints under way for no longer than its own
-lag, a tenth of error in its scale. The angle by which an axis has moved outside the band is added up, less what is
-forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
+deviation of its lag, twice the reaction to the rolling vehicle in either direction, setpoints under way for no longer
+than its own lag, a tenth of error in its scale. The angle by which an axis has moved outside the band is added up, less
+what is forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
 
 Recovery. With the fastest precession, all that is left of the precession angle brings the unstable motion
 z = roll + roll_rate / pole back from no more than
@@ -82,8 +82,8 @@ class Following:
         lowest, highest = 1e9, -1e9
         for loop in self._loops:
             rate, response = loop.parts(setpoint, load)
-            other = rate - self._reaction * response
-            lowest, highest = min(lowest, rate, other), max(highest, rate, other)
+            reaction = abs(self._reaction * response)
+            lowest, highest = min(lowest, rate - reaction), max(highest, rate + reaction)
         bands = self._bands
         if len(bands) == self._latest:
             self._judge(min([low for low, _ in bands]), max([high for _, high in bands]))
