@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.imu_layout import ImuConfig, layout_of
-from telemetry.samples import CanFrame, ImuSample
+from telemetry.samples import CanFrame, ImuSample, Vector3
 
 LONGEST_SET = 0.75
 """Periods from the first to the last frame of a set."""
@@ -47,10 +47,10 @@ class ImuHealth(Enum):
 class ImuStatistics:
     """Counts since the driver was created.
 
-    `sets`: published. Left out: `duplicates` (frames that are copies). Dropped: `incomplete` (a frame missing, out of
-    order, or twice with another content),
-    `late` (frames too far apart to be of one set), `wrong_length`, `out_of_range` (or not a finite number). `gaps` are
-    intervals above 1.5 periods or backwards in time, `stuck` the sets that repeated the one before implausibly often.
+    `sets`: published. Left out: `duplicates` (frames that are copies), `outliers` (single angular rates). Dropped:
+    `incomplete` (a frame missing, out of order, or twice with another content), `late` (frames too far apart to be
+    of one set), `wrong_length`, `out_of_range` (or not a finite number). `gaps` are intervals above 1.5 periods or
+    backwards in time, `stuck` the sets that repeated the one before implausibly often.
     """
 
     sets: int = 0
@@ -61,6 +61,7 @@ class ImuStatistics:
     out_of_range: int = 0
     gaps: int = 0
     stuck: int = 0
+    outliers: int = 0
 
 
 class Imu:
@@ -90,6 +91,7 @@ class Imu:
         self._start_ns = 0
         self._sample: ImuSample | None = None
         self._repeats = 0
+        self._held = False
         self._content = ImuHealth.OK
 
     def handle(self, frame: CanFrame) -> ImuSample | None:
@@ -150,8 +152,10 @@ class Imu:
                 "check imu.precision, imu.slots and imu.angular_rate_unit against the device."
             )
             return None
-        sample = ImuSample(received_ns - self._latency_ns, acceleration, angular_rate)
         last = self._sample
+        if last is not None:
+            angular_rate = self._plausible(angular_rate, last.angular_rate)
+        sample = ImuSample(received_ns - self._latency_ns, acceleration, angular_rate)
         self._content = ImuHealth.OK
         if last is not None:
             interval_ns = sample.timestamp_ns - last.timestamp_ns
@@ -172,6 +176,17 @@ class Imu:
         self.statistics.sets += 1
         self._sample = sample
         return sample
+
+    def _plausible(self, rate: Vector3, before: Vector3) -> Vector3:
+        """The angular rate, or the one before if it has changed by more than anything can make it. The next one is
+        taken as it is: one wrong reading is left out, and a change that stays is not."""
+        most = self.config.angular_rate_change
+        wild = not self._held and any(abs(now - then) > most for now, then in zip(rate, before, strict=True))
+        self._held = wild
+        if not wild:
+            return rate
+        self.statistics.outliers += 1
+        return before
 
     def _refuse_length(self, frame: CanFrame, place: int) -> None:
         self._next = _WAITING
@@ -205,6 +220,7 @@ class Imu:
             self._next = _WAITING
         self._start_ns = start_ns
         self._sample = None
+        self._held = False
         self._repeats = 0
         self.frozen = 0
         self._content = ImuHealth.OK

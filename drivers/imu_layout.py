@@ -66,8 +66,9 @@ class ImuConfig:
 
     `base_id` is the CAN id of the first frame of a set, `slots` what the mapped channels carry in order, `rate` the
     stream rate (Hz), `axes` the sensor axis along the vehicle's x, y and z. `acceleration_range` (m/s^2) and
-    `angular_rate_range` (rad/s) bound plausible values; `latency` (s) is the time from the measurement to the last
-    frame of its set. `angular_rate_unit` applies to float32 only: 16-bit frames are always in deg/s/10.
+    `angular_rate_range` (rad/s) bound plausible values, `angular_rate_change` (rad/s) that of a rate from one set
+    to the next; `latency` (s) is the time from the measurement to the last frame of its set. `angular_rate_unit`
+    applies to float32 only: 16-bit frames are always in deg/s/10.
 
     Raises:
         ImuConfigError: on construction, naming the key.
@@ -84,6 +85,7 @@ class ImuConfig:
     acceleration_range: float = 39.2
     angular_rate_range: float = math.radians(400.0)
     latency: float = 0.0
+    angular_rate_change: float = math.inf
 
     def __post_init__(self) -> None:
         _check_slots(self)

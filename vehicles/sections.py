@@ -101,6 +101,8 @@ class ImuSection(Section):
     """m/s^2."""
     angular_rate_range_deg: Annotated[float, up_to(4000.0, "no reading would count as implausible")] = 400.0
     """deg/s."""
+    angular_rate_change_deg: Annotated[float, up_to(4000.0, "no reading would count as wrong")] | None = None
+    """deg/s from one set to the next that nothing can make: a single reading beyond it is left out; None for any."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m, from the axis that the vehicle falls about to the accelerometer, in vehicle axes."""
     latency: Annotated[float, Field(ge=0, le=0.1)] = 0.0

@@ -49,6 +49,9 @@ def imu_config(vehicle: VehicleFile) -> ImuConfig:
         acceleration_range=imu.acceleration_range,
         angular_rate_range=math.radians(imu.angular_rate_range_deg),
         latency=imu.latency,
+        angular_rate_change=math.inf
+        if imu.angular_rate_change_deg is None
+        else math.radians(imu.angular_rate_change_deg),
     )
 
 

@@ -333,6 +333,25 @@ def test_frozen_gyro_alone_is_not_stuck() -> None:
     assert imu.statistics.stuck == 0
 
 
+def rates_seen(readings: list[float], config: ImuConfig) -> tuple[list[float], int]:
+    """The rates about x that are published for these, and how many were left out."""
+    imu, seen = Imu(config), []
+    for number, reading in enumerate(readings):
+        sample = replace(sample_at(number), angular_rate=(reading, 0.0, 0.0))
+        seen += [each.angular_rate[0] for each in feed(imu, encode_frames(config, sample))]
+    return seen, imu.statistics.outliers
+
+
+def test_a_single_wrong_rate_is_left_out_and_a_change_that_stays_is_taken() -> None:
+    config = replace(CANOPEN, angular_rate_change=0.05)
+    seen, outliers = rates_seen([0.01, 0.02, 5.0, 0.03, 0.02], config)
+    assert (seen, outliers) == (pytest.approx([0.01, 0.02, 0.02, 0.03, 0.02]), 1)
+    seen, outliers = rates_seen([0.01, 0.5, 0.51, 0.52], config)
+    assert (seen, outliers) == (pytest.approx([0.01, 0.01, 0.51, 0.52]), 1)
+    # Without a limit, every reading within the range is taken.
+    assert rates_seen([0.01, 5.0, 0.01], CANOPEN) == (pytest.approx([0.01, 5.0, 0.01]), 0)
+
+
 def test_sixteen_bit_sensor_at_rest_is_not_stuck() -> None:
     # 60 s of a gyro that always reads 0 at 0.1 deg/s resolution, and 4 mm/s^2 accelerometer noise at 10 mm/s^2.
     noise = np.random.default_rng(5).normal(0.0, 0.004, (15_000, 3)).tolist()

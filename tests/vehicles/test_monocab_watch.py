@@ -198,6 +198,17 @@ def test_a_vehicle_at_the_limit_of_recovery_comes_back_only_with_the_fastest_pre
     assert used == pytest.approx(math.exp(pole * (0.04 + VEHICLE.period)), rel=1e-3)
 
 
+def test_recovery_forgives_one_wrong_sample() -> None:
+    subject = watch()
+    subject.reset()
+    drives = GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0)
+    shares = []
+    for rate in (0.0, 0.0, 5.0, 0.0, 0.0):
+        subject.update(Lean(0.0, rate), drives)
+        shares.append(subject.recovery)
+    assert max(shares) < 0.01
+
+
 def test_jump_of_one_sample_is_forgiven_and_one_that_stays_is_not() -> None:
     subject = watch()
     for readings, found in (([0.0, 0.0, 0.5, 0.0, 0.0], False), ([0.0, 0.0, 0.1, 0.1, 0.1], True)):

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import ceil, exp, expm1, radians
+from math import ceil, exp, expm1, inf, radians
 
 from drivers.cia402.drive import Drive
 from drivers.vehicle_io import VehicleIo
@@ -45,6 +45,8 @@ SHORTEST = 0.25
 """Share of its mean below which no lag is tried: two standard deviations may reach zero."""
 JUMP_MEMORY = 0.05
 """s over which jumps of the gyro are added up."""
+NOTHING_LEFT = 1e3
+"""Share that stands for a lean with no precession left."""
 NOISE = 0.01
 """rad/s between two samples that are the gyro's own noise, or vibration."""
 
@@ -164,6 +166,7 @@ class MonocabWatch:
         "_rate",
         "_reach",
         "_roll_rate",
+        "_share",
         "gained",
         "gimbal_following",
         "gimbals",
@@ -209,6 +212,7 @@ class MonocabWatch:
         self._roll_rate: float | None = None
         self._jumps.clear()
         self._jumped = 0.0
+        self._share = inf
         self.gimbal_following = self.trim_following = self.jump = self.gained = self.recovery = 0.0
 
     def update(self, lean: Lean, drives: GimbalMeasurement) -> None:
@@ -235,8 +239,11 @@ class MonocabWatch:
         return beyond
 
     def _watch_recovery(self, lean: Lean, precession: float) -> None:
+        """The smaller of two cycles, so that a single wrong sample of the gyro is forgiven."""
         falling = lean.angle + lean.rate / self._pole
         left = self._angle + precession if falling > 0.0 else self._angle - precession
         most = self._reach * -expm1(-self._pole * max(left, 0.0) / self._rate)
         used = abs(falling) * exp(self._pole * self._lag)
-        self.recovery = used / most if most > 0.0 else 1e3
+        share, before = used / most if most > 0.0 else NOTHING_LEFT, self._share
+        self._share = share
+        self.recovery = min(share, before)
