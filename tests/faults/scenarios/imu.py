@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable
 from math import cos, inf, nan, pi, radians, sin
 
+from drivers.frame_clock import FrameClock
 from faults import clues
 from faults.bench import Bench
 from faults.fault import CONTROL_LOST, LYING_IMU, SILENT_IMU, Fault, Wanted, harmless, in_order, stopped
@@ -180,6 +181,27 @@ def stamps(change: Callable[[int, int], int]) -> Callable[[Bench], None]:
         bench.received.append(
             lambda frame: [CanFrame(change(frame.timestamp_ns, begin), frame.can_id, frame.data, error=frame.error)]
         )
+
+    return inject
+
+
+def wall_clock(off: Callable[[int], int]) -> Callable[[Bench], None]:
+    """The kernel stamps frames by a clock that is `off(ns since the injection)` ns; they are read through the time base
+    of the service, as from a socket."""
+
+    def inject(bench: Bench) -> None:
+        begin = bench.plant_side.time_ns
+        clock = FrameClock(0)
+        clock.read(begin, begin)
+
+        def through(frame: CanFrame) -> list[CanFrame]:
+            now = bench.plant_side.time_ns
+            clock.read(now + off(now - begin), now)
+            stamp = frame.timestamp_ns + off(frame.timestamp_ns - begin)
+            stamp = clock.convert(stamp) if clock.stepping else stamp + clock.shift_ns
+            return [CanFrame(stamp, frame.can_id, frame.data, error=frame.error)]
+
+        bench.received.append(through)
 
     return inject
 
@@ -477,9 +499,8 @@ FAULTS: tuple[Fault, ...] = (
         harmless(
             f"clock_{name}",
             f"the clock of the time stamps steps by {text}",
-            stamps(lambda time, begin, step=step: time + step),  # type: ignore[misc]
-            reported=True,
-            why="a clock that somebody sets is an event, and nothing else",
+            wall_clock(lambda since, step=step: step),  # type: ignore[misc]
+            why="a clock that somebody sets is an event, and nothing else; the daemon reports it, not the loop",
         )
         for name, text, step in (
             ("forward_20ms", "+20 ms", 20_000_000),
@@ -493,7 +514,7 @@ FAULTS: tuple[Fault, ...] = (
     harmless(
         "clock_slewed",
         "the clock of the time stamps runs fast by 500 ppm",
-        stamps(lambda time, begin: time + (time - begin) * 500 // 1_000_000),
+        wall_clock(lambda since: since * 500 // 1_000_000),
         why="what time synchronisation does all day",
     ),
     harmless("stamps_jitter", "the time stamps are off by 2 ms at random", jittering(0.002)),
