@@ -108,7 +108,7 @@ class Safety:
     """Checks the cycles of a vehicle against its `bounds`, in their order.
 
     IMU, drives and loop may miss `missed_cycles` consecutive cycles of `period` s, a drive's heartbeat may be
-    `heartbeat_timeout` s old.
+    `heartbeat_timeout` s old. `longest_silence`: the same in s, for a drive or the IMU.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Safety:
         self.missed_cycles = missed_cycles
         self.period = period
         # Half a period of tolerance: `missed_cycles` whole periods without an answer, jitter included.
-        self._longest_silence = (missed_cycles + 0.5) * period
+        self.longest_silence = (missed_cycles + 0.5) * period
         checks: dict[When, list[_Check]] = {when: [] for when in When}
         for bound in bounds:
             checks[bound.when].append((attrgetter(bound.of), bound.limit, bound))
@@ -141,7 +141,7 @@ class Safety:
         """The verdict on one cycle; `OK` itself, without any allocation, if no check fails."""
         if seen.foreign_command:
             return Verdict(Code.FOREIGN_MASTER, Reaction.CUT_OFF, seen.foreign_command)
-        if not seen.imu_age <= self._longest_silence:
+        if not seen.imu_age <= self.longest_silence:
             return stop(
                 Code.IMU_SILENT,
                 f"no complete IMU frame set for {seen.imu_age * 1e3:.1f} ms, longer than {self.missed_cycles} cycles "
@@ -163,7 +163,7 @@ class Safety:
         concern = None
         for drive in seen.drives:
             if (
-                not drive.age <= self._longest_silence
+                not drive.age <= self.longest_silence
                 or drive.restarted
                 or not drive.remote
                 or (seen.should_run and not (drive.enabled and drive.voltage))
@@ -201,7 +201,7 @@ class Safety:
             return stop(Code.DRIVE_EMERGENCY, f"drive {drive.name} reports: {drive.emergency}")
         if drive.restarted:
             return stop(Code.DRIVE_RESTARTED, f"drive {drive.name} restarted by itself: its configuration is lost")
-        if not drive.age <= self._longest_silence:
+        if not drive.age <= self.longest_silence:
             return stop(
                 Code.DRIVE_SILENT,
                 f"drive {drive.name} has not answered for {drive.age * 1e3:.1f} ms, longer than "
