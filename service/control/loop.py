@@ -266,10 +266,9 @@ class ControlLoop:
         if verdict.reaction is Reaction.CUT_OFF:
             self.cut_off = True
             self._heartbeat_due = self.cycles
-        if verdict.code is Code.DRIVE_SILENT:
-            # It may not hear SYNC either, without which a controlword has no effect: NMT stop needs none.
-            silent = [not entry.age <= self._safety.longest_silence for entry in self._seen.drives]
-            self._stop_nodes(compress(self.io.drives, silent), self._last_ns)
+        # A drive that does not answer may not hear SYNC, without which a quick stop has no effect: NMT stop needs none.
+        silent = [not entry.age <= self._safety.longest_silence for entry in self._seen.drives]
+        self._stop_nodes(compress(self.io.drives, silent), self._last_ns)
         self.stop_now(verdict.text, verdict.code.value)
         return QUICK_STOP
 

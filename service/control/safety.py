@@ -29,7 +29,7 @@ from its limits (the module `kind` of its folder). Every comparison is written s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from operator import attrgetter
@@ -119,26 +119,25 @@ class Safety:
         self.period = period
         # Half a period of tolerance: `missed_cycles` whole periods without an answer, jitter included.
         self.longest_silence = (missed_cycles + 0.5) * period
-        checks: dict[When, list[_Check]] = {when: [] for when in When}
-        for bound in bounds:
-            checks[bound.when].append((attrgetter(bound.of), bound.limit, bound))
-        self._always, self._armed, self._balancing, self._upright = (tuple(checks[when]) for when in When)
+        self._stopping = _by_phase(bound for bound in bounds if not bound.advice)
+        self._ending = _by_phase(bound for bound in bounds if bound.advice)
 
     def nearest(self, seen: Observation) -> tuple[Bound, float] | None:
         """The bound, of those that are enforced now, of whose limit most is used, and that share; None if nothing is
         known yet."""
-        enforced = [(True, self._always), (seen.armed, self._armed)]
-        enforced += [(seen.balancing, self._balancing), (seen.balancing and seen.upright, self._upright)]
+        upright = seen.balancing and seen.upright
+        enforced = {When.ALWAYS: True, When.ARMED: seen.armed, When.BALANCING: seen.balancing, When.UPRIGHT: upright}
         found: tuple[Bound, float] | None = None
-        for now, checks in enforced:
-            for read, limit, bound in checks if now else ():
+        for when, now in enforced.items():
+            for read, limit, bound in (*self._stopping[when], *self._ending[when]) if now else ():
                 share = abs(read(seen)) / limit
                 if isfinite(share) and (found is None or share > found[1]):
                     found = bound, share
         return found
 
     def judge(self, seen: Observation) -> Verdict:
-        """The verdict on one cycle; `OK` itself, without any allocation, if no check fails."""
+        """The verdict on one cycle; `OK` itself if no check fails. What stops comes before all that ends in order: an
+        experiment that is being ended must be stopped, too, if it has to be."""
         if seen.foreign_command:
             return Verdict(Code.FOREIGN_MASTER, Reaction.CUT_OFF, seen.foreign_command)
         if not seen.imu_age <= self.longest_silence:
@@ -155,9 +154,9 @@ class Safety:
                 f"{seen.imu_frozen + 1} IMU frame sets in a row have the same time stamp: the driver of the interface "
                 "stamps no frames, or a clock stands still",
             )
-        for read, limit, bound in self._always:
-            if not -limit <= read(seen) <= limit:
-                return bound.verdict(read(seen))
+        stopping, ending = self._stopping, self._ending
+        if verdict := _beyond(stopping[When.ALWAYS], seen):
+            return verdict
         if not seen.armed:
             return OK
         concern = None
@@ -172,24 +171,26 @@ class Safety:
                 return self._drive_fault(drive)
             if drive.emergency or not drive.heartbeat_age <= self.heartbeat_timeout:
                 concern = drive
-        for read, limit, bound in self._armed:
-            if not -limit <= read(seen) <= limit:
-                return bound.verdict(read(seen))
+        if verdict := _beyond(stopping[When.ARMED], seen):
+            return verdict
         if seen.late_cycles >= self.missed_cycles:
             return stop(
                 Code.DEADLINE,
                 f"{seen.late_cycles} control cycles in a row were late for their {self.period * 1e3:g} ms",
             )
-        if seen.balancing:
-            if seen.upright:
-                for read, limit, bound in self._upright:
-                    if not -limit <= read(seen) <= limit:
-                        return bound.verdict(read(seen))
-            for read, limit, bound in self._balancing:
-                if not -limit <= read(seen) <= limit:
-                    return bound.verdict(read(seen))
-            if not seen.observer_alive:
-                return end(Code.OBSERVER_GONE, "the observer process ended: nothing is recorded any more")
+        upright = seen.balancing and seen.upright
+        if upright and (verdict := _beyond(stopping[When.UPRIGHT], seen)):
+            return verdict
+        if seen.balancing and (verdict := _beyond(stopping[When.BALANCING], seen)):
+            return verdict
+        if verdict := _beyond(ending[When.ARMED], seen):
+            return verdict
+        if upright and (verdict := _beyond(ending[When.UPRIGHT], seen)):
+            return verdict
+        if seen.balancing and (verdict := _beyond(ending[When.BALANCING], seen)):
+            return verdict
+        if seen.balancing and not seen.observer_alive:
+            return end(Code.OBSERVER_GONE, "the observer process ended: nothing is recorded any more")
         if concern is not None:
             return self._drive_concern(concern)
         if seen.foreign_request:
@@ -229,3 +230,18 @@ class Safety:
             f"drive {drive.name} has sent no heartbeat for {drive.heartbeat_age * 1e3:.0f} ms, though its values still "
             "come: it may have lost its set-up (1017h)",
         )
+
+
+def _by_phase(bounds: Iterable[Bound]) -> dict[When, tuple[_Check, ...]]:
+    checks: dict[When, list[_Check]] = {when: [] for when in When}
+    for bound in bounds:
+        checks[bound.when].append((attrgetter(bound.of), bound.limit, bound))
+    return {when: tuple(each) for when, each in checks.items()}
+
+
+def _beyond(checks: tuple[_Check, ...], seen: Observation) -> Verdict | None:
+    """The verdict on the first of `checks` that fails."""
+    for read, limit, bound in checks:
+        if not -limit <= read(seen) <= limit:
+            return bound.verdict(read(seen))
+    return None

@@ -241,6 +241,19 @@ def test_hard_limit_takes_precedence_over_the_budget() -> None:
     assert SAFETY.judge(seen).reaction is Reaction.STOP_NOW
 
 
+@pytest.mark.parametrize(("ending", "_", "__"), BALANCING + IN_ORDER + ARMED_IN_ORDER + UPRIGHT_IN_ORDER)
+def test_what_stops_is_not_hidden_by_what_ends_in_order(
+    ending: Callable[[Observation], None], _: Code, __: tuple[str, ...]
+) -> None:
+    """An experiment that is being ended goes on for seconds, and its reason with it."""
+    stops = [field(late_cycles=3), field(contradiction=6.5), field(angle=-0.066), drive(voltage=False)]
+    for stopping in stops:
+        seen = balancing()
+        ending(seen)
+        stopping(seen)
+        assert SAFETY.judge(seen).reaction is Reaction.STOP_NOW
+
+
 def test_nearest_limit_is_the_one_of_which_most_is_used() -> None:
     seen = balancing()
     seen.watched = SimpleNamespace(**{**vars(AS_MODELLED), "recovery": 0.35})

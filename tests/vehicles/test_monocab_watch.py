@@ -52,17 +52,11 @@ class Faulty(ClosedLoop):
         self._set = []
 
 
-def stand_still(closed: Faulty, names: Sequence[str], changed: Callable[[float], float]) -> None:
+def follow_otherwise(closed: Faulty, names: Sequence[str], changed: Callable[[float], float]) -> None:
     """The drives say that they are enabled, and follow `changed(setpoint)`."""
     for name in names:
-        servo = closed.plant_side.drives[name].servo
-        follow = servo._follow_target  # type: ignore[attr-defined]
-
-        def other(servo=servo, follow=follow) -> None:  # type: ignore[no-untyped-def]
-            follow()
-            servo.axis.setpoint = changed(servo.axis.setpoint)
-
-        servo._follow_target = other  # type: ignore[attr-defined]
+        axis = closed.plant_side.drives[name].servo.axis  # type: ignore[attr-defined]
+        axis.effects = (*axis.effects, changed)
 
 
 def run_down(closed: Faulty) -> None:
@@ -82,7 +76,7 @@ def frozen_gyro() -> Callable[[list[float]], list[float]]:
 
 
 def axis(names: Sequence[str], changed: Callable[[float], float]) -> Callable[[Faulty], None]:
-    return lambda closed: stand_still(closed, names, changed)
+    return lambda closed: follow_otherwise(closed, names, changed)
 
 
 def imu(spoil: Callable[[list[float]], list[float]]) -> Callable[[Faulty], None]:

@@ -31,7 +31,7 @@ from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.file import MonocabFile
 
 DEVIATIONS = 2.0
-"""Standard deviations of the lag within which a speed loop may be."""
+"""Standard deviations within which a parameter may be."""
 ON_THE_BUS = 2
 """Cycles from the one in which a setpoint is sent to the first in which a rate that follows it is read."""
 SCALE = 0.1
@@ -157,7 +157,6 @@ class MonocabWatch:
         "_acceleration",
         "_angle",
         "_height",
-        "_jump",
         "_jumped",
         "_jumps",
         "_lag",
