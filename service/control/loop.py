@@ -267,7 +267,9 @@ class ControlLoop:
             self.cut_off = True
             self._heartbeat_due = self.cycles
         # A drive that does not answer may not hear SYNC, without which a quick stop has no effect: NMT stop needs none.
-        silent = [not entry.age <= self._safety.longest_silence for entry in self._seen.drives]
+        # While the IMU was silent, no SYNC was sent, and no answer was due.
+        due = self._safety.longest_silence - self._period + self._seen.imu_age
+        silent = [not entry.age <= due for entry in self._seen.drives]
         self._stop_nodes(compress(self.io.drives, silent), self._last_ns)
         self.stop_now(verdict.text, verdict.code.value)
         return QUICK_STOP
