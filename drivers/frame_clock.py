@@ -65,9 +65,12 @@ class FrameClock:
 
     def convert(self, stamp_ns: int) -> int:
         """The time of a frame while `stepping`. It arrived between the last two readings, which tells whether it was
-        stamped before the step or after it; time never goes back."""
+        stamped before the step or after it; where it may be either, the later time is taken, since frames are read
+        soon after they arrive. So the time is exact where a frame is read sooner than the step is long. Time never
+        goes back."""
         after, before = stamp_ns + self.shift_ns, stamp_ns + self._before_ns
-        found = before if self._outside(before) < self._outside(after) else after
+        beyond = self._outside(before) - self._outside(after)
+        found = max(before, after) if beyond == 0 else before if beyond < 0 else after
         self._latest_ns = found = max(found, self._latest_ns)
         return found
 
