@@ -19,7 +19,7 @@ def at_rate(rate: float) -> str:
     text = Path(load("monocab").path).read_text()
     for old, new in (
         ("rate = 250 ", f"rate = {rate:.0f} "),
-        ("missed_cycles = 3 ", "missed_cycles = 50 "),
+        ("missed_cycles = 7 ", "missed_cycles = 50 "),
         ("heartbeat_timeout = 0.12", "heartbeat_timeout = 1.0"),
     ):
         assert old in text

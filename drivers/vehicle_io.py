@@ -13,6 +13,9 @@ from drivers.cia402.states import State
 from drivers.imu import Imu
 from telemetry.samples import CanFrame, ImuSample
 
+LARGEST = 8
+"""Data bytes of a classical CAN frame."""
+
 
 class VehicleIo:
     """Dispatches the frames of the IMU and the drives, and builds the frames of a command."""
@@ -49,13 +52,18 @@ class VehicleIo:
         return tuple(drive for drive in self.drives if drive.config.role == name)
 
     def handle(self, frame: CanFrame) -> ImuSample | None:
-        """Take one frame; returns the IMU sample that it completed, if any. Other frames are ignored."""
+        """Take one frame; returns the IMU sample that it completed, if any. Frames of others are ignored."""
         handler = self._handlers.get(frame.can_id)
-        if handler is None or frame.error or frame.remote or frame.extended:
+        if handler is None or not self.knows(frame):
             return None
         self._sample = None
         handler(frame)
         return self._sample
+
+    def knows(self, frame: CanFrame) -> bool:
+        """Whether a driver reads this frame: a classical data frame with one of `can_ids`."""
+        foreign = frame.error or frame.remote or frame.extended or len(frame.data) > LARGEST
+        return not foreign and frame.can_id in self._handlers
 
     def _handle_imu(self, frame: CanFrame) -> None:
         self._sample = self.imu.handle(frame)

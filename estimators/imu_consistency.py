@@ -1,10 +1,11 @@
 """Do accelerometer and gyro tell of the same motion?
 
-What the accelerometer shows beyond gravity and the acceleration of its lever arm, which both follow from the gyro
-(estimators.roll_filter.RollState.contradiction), is vibration as long as both are right: noise without a mean. A gyro
-that is frozen, dead, turned or scaled leaves a mean, in the direction of the motion that it does not show. The mean is
-taken over AVERAGED, in standard deviations, from the noise that the vehicle file states or, if it is more, that was
-measured over REMEMBERED. Single readings count up to CLIPPED deviations, so that a shock is no contradiction.
+Gravity and the acceleration of the lever arm follow from the gyro (estimators.roll_filter.RollState.contradiction), the
+acceleration of the axis from the drives. What the accelerometer shows beyond these is vibration as long as all are
+right: noise without a mean. A gyro that is frozen, dead, turned or scaled leaves a mean, in the direction of the motion
+that it does not show. The mean is taken over AVERAGED, in standard deviations, from the noise that the vehicle file
+states or, if it is more, that was measured over REMEMBERED. Single readings count up to CLIPPED deviations, so that a
+shock is no contradiction.
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ class ImuConsistency:
         self._means = [0.0, 0.0, 0.0]
         self._squares = [self._known] * 3
 
-    def update(self, contradiction: Vector3) -> float:
-        """The means with one more reading (m/s^2); not a number if it is none."""
+    def update(self, contradiction: Vector3, explained: Vector3) -> float:
+        """The means with one more reading, without what is `explained` of it (both m/s^2); not a number if it is
+        none."""
         means, squares, worst = self._means, self._squares, 0.0
-        for axis, reading in enumerate(contradiction):
+        for axis, (shown, known) in enumerate(zip(contradiction, explained, strict=True)):
+            reading = shown - known
             std = math.sqrt(max(self._known, squares[axis]))
             most = CLIPPED * std
             counted = most if reading > most else -most if reading < -most else reading

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, StrEnum
-from math import degrees, isfinite
+from math import degrees, isfinite, radians
 
 
 class Reaction(Enum):
@@ -26,9 +26,12 @@ class Code(StrEnum):
     IMU_OUT_OF_RANGE = "imu_out_of_range"
     IMU_FORMAT = "imu_format"
     IMU_CONTRADICTION = "imu_contradiction"
+    GYRO_JUMP = "gyro_jump"
     IMU_TIME = "imu_time"
+    IMU_LOSSES = "imu_losses"
     NOT_FINITE = "not_finite"
     DRIVE_SILENT = "drive_silent"
+    DRIVE_LOSSES = "drive_losses"
     DRIVE_EMERGENCY = "drive_emergency"
     DRIVE_RESTARTED = "drive_restarted"
     DRIVE_NOT_ENABLED = "drive_not_enabled"
@@ -41,6 +44,8 @@ class Code(StrEnum):
     DEADLINE = "deadline"
     FOREIGN_MASTER = "foreign_master"
     FOREIGN_SDO = "foreign_sdo"
+    FOREIGN_FRAMES = "foreign_frames"
+    BUS_ERRORS = "bus_errors"
     OBSERVER_GONE = "observer_gone"
     INTERNAL_ERROR = "internal_error"
 
@@ -133,4 +138,12 @@ IMU_CONTRADICTION = Bound(
     DEVIATIONS,
     When.BALANCING,
 )
-"""For vehicles whose axis does not accelerate: one that drives would need a model of that."""
+GYRO_JUMP = Bound(
+    Code.GYRO_JUMP,
+    "the gyro jumps as nothing can make the vehicle turn: a change",
+    "watched.jump",
+    radians(1.0),
+    DEGREES_PER_SECOND,
+    When.UPRIGHT,
+)
+"""For kinds whose watch has a `jump` (vehicles.watch.GyroJumps)."""

@@ -21,6 +21,7 @@ from drivers.cia402.states import State
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from telemetry.channels import ChannelTable
+from telemetry.samples import Vector3
 from vehicles.bounds import Bound
 from vehicles.excitation import Excitation
 from vehicles.sections import VehicleFile
@@ -137,24 +138,25 @@ class Pilot(Protocol[M_in]):
         ...
 
 
+FIXED: Vector3 = (0.0, 0.0, 0.0)
+"""Acceleration of an axis that does not move."""
+
+
 class Watch(Protocol[M_in]):
     """What a kind's model says about its measurements: quantities for its bounds, as in "watched.recovery"."""
+
+    @property
+    def acceleration(self) -> Vector3:
+        """Of the axis that the vehicle falls about, as its drives tell it: m/s^2, in the body's frame."""
+        ...
 
     def reset(self) -> None:
         """An experiment starts."""
         ...
 
-    def update(self, lean: Lean, drives: M_in) -> None:
-        """One control cycle, before its setpoints are sent."""
+    def update(self, dt: float, lean: Lean, drives: M_in) -> None:
+        """One control cycle, `dt` s after the last one and before its setpoints are sent."""
         ...
-
-
-class Unwatched:
-    """The watch of a kind that has no such bounds."""
-
-    def reset(self) -> None: ...
-
-    def update(self, lean: Lean, drives: Measurement) -> None: ...
 
 
 class Kind(Protocol[M]):

@@ -55,7 +55,7 @@ class ControlSection(Section):
     """Hz: the IMU's stream rate, which is the clock of the control loop."""
     master_node: NodeId = 127
     """CANopen node id of this service."""
-    heartbeat_period: Annotated[float, up_to(0.5, "drives that are monitored less often run on for too long")] = 0.04
+    heartbeat_period: Annotated[float, up_to(0.5, "drives that are monitored less often run on for too long")] = 0.02
     """s between heartbeats of the control loop."""
     heartbeat_timeout: Annotated[float, up_to(1.0, "so long a drive runs on when the service is gone")] = 0.12
     """s without the heartbeat after which a drive stops by itself (written to 1016h)."""
@@ -198,7 +198,7 @@ class LimitsSection(Section):
     """Limits of every kind of vehicle; each has further limits of its own."""
 
     support_deg: Annotated[float, up_to(45.0, "a support carries a vehicle that leans, not one that lies")]
-    missed_cycles: Annotated[int, Field(ge=1, le=50)] = 3
+    missed_cycles: Annotated[int, Field(ge=1, le=50)] = 7
 
 
 class ParametersSection(Section):
@@ -509,8 +509,8 @@ class VehicleFile(Section):
     def setpoint_timeout(self) -> float:
         """s without a setpoint after which a drive stops by itself (1400h:5 and up). The service itself stops after
         `limits.missed_cycles` late cycles; a drive that goes on with its last setpoint for longer throws the vehicle
-        onto its support. Twice that, and a cycle and a half, but no longer than for a heartbeat."""
-        return min(self.control.heartbeat_timeout, (2 * self.limits.missed_cycles + 1.5) * self.period)
+        onto its support. A cycle and a half more, but no longer than for a heartbeat."""
+        return min(self.control.heartbeat_timeout, (self.limits.missed_cycles + 1.5) * self.period)
 
     @property
     def support(self) -> float:

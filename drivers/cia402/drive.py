@@ -127,10 +127,16 @@ class Drive:
         return self.state is not State.FAULT_REACTION_ACTIVE
 
     def new_advice(self) -> tuple[str, ...]:
-        """The warnings in the statusword since the last call that were not there in the time before it, by name."""
+        """The warnings in the statusword that have not been returned since they were there last, by name."""
         fresh = self._advice & ~self._advised
-        self._advised, self._advice = self._advice, 0
+        if not fresh:
+            return ()
+        self._advised |= fresh
         return states.flags(fresh)
+
+    def forget_advice(self) -> None:
+        """The warnings that have not come since the last call are over: if they come again, they are new."""
+        self._advised, self._advice = self._advice, 0
 
     @property
     def advice(self) -> tuple[str, ...]:

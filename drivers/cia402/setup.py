@@ -71,8 +71,12 @@ class DriveReport:
     """What the drive lacks, with the consequences."""
 
 
-def configure(network: canopen.Network, config: DriveConfig, supervision: Supervision) -> DriveReport:
+def configure(
+    network: canopen.Network, config: DriveConfig, supervision: Supervision, before: DriveReport | None = None
+) -> DriveReport:
     """Make the drive of `config` ready to be started (NMT) and enabled, and read back all that was written.
+
+    One that was set up `before` has to be the same device with the same firmware.
 
     Raises:
         DriveConfigError: the EDS file does not exist.
@@ -86,6 +90,7 @@ def configure(network: canopen.Network, config: DriveConfig, supervision: Superv
     device_type = _check_profile(sdo)
     vendor_id, product_code = _check_identity(sdo)
     eds.check_identity(config, file, dictionary, vendor_id, product_code)
+    revision, serial_number = _check_unchanged(sdo, before)
     state, error_code = _switch_off(sdo)
     eds.check_device(sdo, file)
     supported = _select_mode(sdo)
@@ -111,8 +116,8 @@ def configure(network: canopen.Network, config: DriveConfig, supervision: Superv
         device_type=device_type,
         vendor_id=vendor_id,
         product_code=product_code,
-        revision=sdo.find(od.REVISION),
-        serial_number=sdo.find(od.SERIAL_NUMBER),
+        revision=revision,
+        serial_number=serial_number,
         state=state,
         error_code=error_code,
         supported_modes=supported,
@@ -150,6 +155,24 @@ def _check_identity(sdo: SdoDialogue) -> tuple[int, int]:
                 remedy=f"Check that the drives are not mixed up; else write {key} = {found:#x}, or 0 for any.",
             )
     return vendor_id, product_code
+
+
+def _check_unchanged(sdo: SdoDialogue, before: DriveReport | None) -> tuple[int | None, int | None]:
+    """Revision and serial number of the drive."""
+    revision, serial_number = sdo.find(od.REVISION), sdo.find(od.SERIAL_NUMBER)
+    if before is not None:
+        for entry, found, known in (
+            (od.REVISION, revision, before.revision),
+            (od.SERIAL_NUMBER, serial_number, before.serial_number),
+        ):
+            if found != known:
+                raise sdo.refuse(
+                    f"the drive reports {found or 0:#x}, and {known or 0:#x} when it was set up before: what was "
+                    "commissioned is not what would run",
+                    entry=entry,
+                    remedy="If it was exchanged on purpose, restart the service and commission the vehicle again.",
+                )
+    return revision, serial_number
 
 
 def _switch_off(sdo: SdoDialogue) -> tuple[State, int | None]:

@@ -26,7 +26,7 @@ from service.control import assembly
 from service.control.api import ApiServer
 from service.control.commands import Commands
 from service.control.health import HealthReports
-from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode
+from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
 from service.control.mqtt_replies import MqttReplies
 from service.control.notify import Notifier
 from service.control.readiness import drive_states
@@ -87,7 +87,7 @@ class Daemon:
             observer=self.observer,
             notifier=self._notifier,
             unclaimed=self._on_unclaimed_frame,
-            deadline=None if lock_step else vehicle.limits.missed_cycles * vehicle.period,
+            deadline=None if lock_step else deadline(vehicle),
         )
         self.commands = Commands(vehicle, self.loop, self.observer, self.status, places.data)
         self._replies = MqttReplies(self.commands, self.observer.reply)
@@ -243,8 +243,10 @@ class Daemon:
             cycle_period=self.vehicle.period,
         )
         reports = []
+        before = {report.name: report for report in self.reports}
         for drive in self.loop.io.drives:
-            report = await asyncio.to_thread(configure, link.network, drive.config, supervision)
+            known = before.get(drive.config.name)
+            report = await asyncio.to_thread(configure, link.network, drive.config, supervision, known)
             self._send(*command_frame(NmtCommand.START, drive.config.node), 0)
             for warning in report.warnings:
                 self.observer.event("warning", "drive_set_up", f"{report.name}: {warning}")
@@ -300,7 +302,7 @@ class Daemon:
             "missed_cycles": self.loop.missed_cycles,
             "nearest_limit": self.loop.nearest_limit(),
             "clock": self._clock.status(),
-            "foreign": self.loop.foreign.statistics(),
+            "foreign": self.loop.foreign.statistics() + self.loop.bus_watch.statistics(),
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
             "diagnosis": self.observer.diagnosis,

@@ -25,7 +25,9 @@ from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.foreign import REMEDY, ForeignTraffic
 from drivers.vehicle_io import VehicleIo
 from estimators.imu_consistency import ImuConsistency
+from estimators.roll_filter import RollState
 from service.control import assembly
+from service.control.bus_watch import BusWatch
 from service.control.notify import Notifier
 from service.control.readiness import heartbeat_timeout, interlocks, observation, observe, strangers
 from service.control.rows import row
@@ -56,6 +58,15 @@ QUICK_STOP_TIME = 1.0
 
 WATCHDOG_PERIOD = 0.25
 """s between watchdog pings."""
+
+
+LOOKS = 4
+"""Looks within the longest silence of the IMU: one that lasts is noticed a quarter of it later at the latest."""
+
+
+def deadline(vehicle: VehicleFile) -> float:
+    """s between two looks whether cycles still come: a silence is one after `LOOKS` of them."""
+    return (vehicle.limits.missed_cycles + 1) * vehicle.period / LOOKS
 
 
 class Mode(StrEnum):
@@ -92,7 +103,7 @@ class ControlLoop:
     """Holds the vehicle's state between cycles. The buses call `on_frames`, the daemon calls everything else.
 
     `send(can_id, data, timestamp_ns)` sends a frame on the drives' bus; `unclaimed` gets the frames that belong to no
-    driver (SDO answers); after `deadline` s without a cycle a run is stopped, None on a lock-step bus.
+    driver (SDO answers); every `deadline` s a timer looks whether cycles still come, None on a lock-step bus.
     """
 
     def __init__(
@@ -110,6 +121,7 @@ class ControlLoop:
         self.foreign = ForeignTraffic(self.io.drives, vehicle.control.master_node)
         """What somebody else sends with the ids of this service."""
         self.io.watch(self.foreign.can_ids, self.foreign.handle)
+        self.bus_watch = BusWatch(self.io, observer.event)
         self.cut_off = False
         """Whether the drives have been taken out of operation, until the next reset: somebody else commands them."""
         self.kind: Kind[Any] = registry.kind_of(vehicle, self.io)
@@ -144,13 +156,14 @@ class ControlLoop:
         self._notifier = notifier
         self._unclaimed = unclaimed
         self._period = vehicle.period
+        self._half_period_ns = round(0.5e9 * vehicle.period)
         self._heartbeat_id = HEARTBEAT + vehicle.control.master_node
-        self._heartbeat_cycles = max(1, int(vehicle.control.heartbeat_period * vehicle.control.rate))
-        self._heartbeat_due = 0
+        self._heartbeat_period_ns = round(vehicle.control.heartbeat_period * 1e9)
+        self._heartbeat_ns = 0
         self._watchdog_cycles = max(1, int(WATCHDOG_PERIOD * vehicle.control.rate))
         self._deadline = deadline
         self._cycles_at_deadline = -1
-        self._silence = 0.0
+        self._waited = self._silence = 0.0
         self._to_acknowledge: set[Drive] = set()
         self._reset_at_ns = NEVER_NS
         self._recording = False
@@ -186,7 +199,11 @@ class ControlLoop:
                 if sample is not None:
                     waiting -= 1
                     self._cycle(sample, late=waiting > 0)
-                elif not frame.error:
+                elif frame.error:
+                    self.bus_watch.error(frame)
+                else:
+                    if not self.io.knows(frame):
+                        self.bus_watch.meet(frame)
                     self._unclaimed(frame)
             except Exception as error:  # whatever it is, the vehicle is stopped in order and the process lives on
                 self._fail(error, answer=sample is not None)
@@ -197,15 +214,16 @@ class ControlLoop:
         elapsed = (now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
         attitude = self._filter.update(sample)
-        self._seen.contradiction = self._consistency.update(attitude.contradiction)
         lean = self.lean = self.kind.lean(attitude)
         drives = self.drives = self.kind.measure()
-        # A clock adjustment or a gap must not upset the controller: its step stays near a period.
-        command = self._decide(min(max(elapsed, 0.5 * self._period), 4.0 * self._period), lean, drives)
+        # Time that went back must not upset the controller, and a longer gap ends the run.
+        dt = min(max(elapsed, 0.5 * self._period), self._safety.longest_silence) if elapsed > 0.0 else self._period
+        command = self._decide(dt, lean, drives)
         self._late_cycles = self._late_cycles + 1 if late else 0
-        verdict = self._judge(now_ns, elapsed, lean, drives, command)
+        verdict = self._judge(attitude, elapsed, dt, lean, drives, command)
         if verdict is not OK:
             command = self._react(verdict, command)
+        self._report()
         if not late:
             self._transmit(command, now_ns)
         if drives.timestamp_ns:
@@ -233,10 +251,13 @@ class ControlLoop:
             self._finish_run(Mode.DISARMED, self._end_code, run.failure or run.end_reason)
         return command
 
-    def _judge(self, now_ns: int, elapsed: float, lean: Lean, drives: Measurement, command: Command) -> Verdict:
-        seen, run = self._seen, self.run
-        observe(seen, self.io, now_ns, drives)
-        self.kind.watch.update(lean, drives)
+    def _judge(
+        self, attitude: RollState, elapsed: float, dt: float, lean: Lean, drives: Measurement, command: Command
+    ) -> Verdict:
+        seen, run, watch, now_ns = self._seen, self.run, self.kind.watch, attitude.timestamp_ns
+        observe(seen, self.io, now_ns, drives, missed=max(0, round(elapsed / self._period) - 1))
+        watch.update(dt, lean, drives)
+        seen.contradiction = self._consistency.update(attitude.contradiction, watch.acceleration)
         seen.imu_age = elapsed
         seen.angle = lean.angle
         seen.rate = lean.rate
@@ -265,7 +286,7 @@ class ControlLoop:
             return command
         if verdict.reaction is Reaction.CUT_OFF:
             self.cut_off = True
-            self._heartbeat_due = self.cycles
+            self._heartbeat_ns = 0
         # A drive that does not answer may not hear SYNC, without which a quick stop has no effect: NMT stop needs none.
         # While the IMU was silent, no SYNC was sent, and no answer was due.
         due = self._safety.longest_silence - self._period + self._seen.imu_age
@@ -273,6 +294,13 @@ class ControlLoop:
         self._stop_nodes(compress(self.io.drives, silent), self._last_ns)
         self.stop_now(verdict.text, verdict.code.value)
         return QUICK_STOP
+
+    def _report(self) -> None:
+        """What is not judged, but has to be known: warnings in the statuswords, and trouble on the bus."""
+        for drive in self.io.drives:
+            if advice := drive.new_advice():
+                self._observer.event("warning", Code.DRIVE_WARNING, f"drive {drive.config.name}: {', '.join(advice)}")
+        self.bus_watch.cycle()
 
     def _transmit(self, command: Command, now_ns: int) -> None:
         send = self._send
@@ -282,8 +310,9 @@ class ControlLoop:
         for can_id, data in self.io.command(command.target, command.setpoint, command.others):
             send(can_id, data, now_ns)
         send(SYNC, b"", now_ns)
-        if self.cycles >= self._heartbeat_due:
-            self._heartbeat_due = self.cycles + self._heartbeat_cycles
+        # Half a period early where the next cycle would be late; a time that went back is no reason to wait.
+        if not 0 <= now_ns + self._half_period_ns - self._heartbeat_ns < self._heartbeat_period_ns:
+            self._heartbeat_ns = now_ns
             self._send_heartbeat(now_ns)
 
     def _send_heartbeat(self, now_ns: int) -> None:
@@ -369,6 +398,7 @@ class ControlLoop:
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
         self._phase = run.phase
         self.kind.watch.reset()
+        self._seen.begin()
         self._reset_at_ns = self._last_ns + RECORDING_LEAD_NS
         if self._recording:
             self._end_recording()
@@ -496,8 +526,7 @@ class ControlLoop:
             self._observer.event("error", "set_up", reason)
 
     def look_after_drives(self) -> None:
-        """Called periodically: detect drives that need a new set-up, acknowledge faults when their state is known, and
-        report what the drives announce in their statuswords.
+        """Called periodically: detect drives that need a new set-up, and acknowledge faults when their state is known.
 
         A drive that missed its master has left NMT operational; a restarted drive has lost its configuration.
         """
@@ -506,8 +535,7 @@ class ControlLoop:
                 if drive.restarted or (drive.emergency and of_communication(drive.emergency.code)):
                     self.needs_set_up = True
         for drive in self.io.drives:
-            if advice := drive.new_advice():
-                self._observer.event("warning", Code.DRIVE_WARNING, f"drive {drive.config.name}: {', '.join(advice)}")
+            drive.forget_advice()
         self._to_acknowledge = {drive for drive in self._to_acknowledge if not drive.acknowledge()}
 
     def bus_down(self, down: BusDown) -> None:
@@ -573,7 +601,7 @@ class ControlLoop:
         self._observer.stop_recording(self.reason, self._last_ns)
 
     def _check_deadline(self) -> None:
-        """If there was no cycle since the last check, the IMU is silent: stop a run, and keep the drives supplied."""
+        """If no cycle comes for too long, the IMU is silent: stop a run, and keep the drives supplied."""
         assert self._deadline is not None
         asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
         try:
@@ -584,15 +612,18 @@ class ControlLoop:
     def _watch_silence(self, passed: float) -> None:
         if self.cycles != self._cycles_at_deadline:
             self._cycles_at_deadline = self.cycles
-            self._silence = 0.0
+            self._waited = self._silence = 0.0
             return
-        self._silence += passed
+        self._waited += passed
+        if self._waited <= self._safety.longest_silence:
+            return
+        self._silence = self._waited
         if self.run is not None:
-            self._seen.imu_age = max(self._silence, passed + self._period)
+            self._seen.imu_age = self._silence
             self._seen.imu_health = self.io.imu.health(self._last_ns)
             self._seen.imu_text = self.io.imu.fault_text
             verdict = self._safety.judge(self._seen)
-            self.stop_now(verdict.text or "no complete IMU frame set", verdict.code.value)
+            self.stop_now(verdict.text, verdict.code.value)
         if self._recording:
             self._end_recording()
         self._verify_stop(passed)

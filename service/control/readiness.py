@@ -23,17 +23,29 @@ def observation(io: VehicleIo) -> Observation:
     return Observation(drives=tuple(DriveObservation(drive.config.name) for drive in io.drives))
 
 
-def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement) -> None:
-    """Update the observation with the drivers' state at `now_ns`."""
+def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement, *, missed: int) -> None:
+    """Update the observation with the drivers' state at `now_ns`; `missed` sets of the IMU should have come before."""
+    seen.imu_losses.came(missed)
     for drive, entry in zip(io.drives, seen.drives, strict=True):
-        entry.age = (now_ns - min(drive.timestamp_ns, drive.statusword_timestamp_ns)) * 1e-9
+        answered_ns = min(drive.timestamp_ns, drive.statusword_timestamp_ns)
+        if answered_ns != entry.answered_ns:
+            entry.answered_ns = answered_ns
+            entry.losses.came()
+        else:
+            entry.losses.lost()
+        entry.age = (now_ns - answered_ns) * 1e-9
         entry.enabled = drive.state is State.OPERATION_ENABLED
         entry.faulty = drive.state in FAULTY
         entry.restarted = drive.restarted
         if not entry.enabled:
             entry.state = drive.condition
-        entry.emergency = drive.emergency.text if drive.emergency is not None else ""
-        entry.emergency_code = drive.emergency.code if drive.emergency is not None else 0
+        # One that was over within the cycle counts, too.
+        emergency = drive.emergency
+        if emergency is None and drive.emergency_count != entry.emergencies:
+            emergency = drive.last_emergency
+        entry.emergencies = drive.emergency_count
+        entry.emergency = emergency.text if emergency is not None else ""
+        entry.emergency_code = emergency.code if emergency is not None else 0
         word = drive.statusword
         entry.voltage = word is None or word & VOLTAGE_ENABLED != 0
         entry.remote = word is None or word & REMOTE != 0

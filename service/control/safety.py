@@ -17,8 +17,8 @@ depend on the earlier ones.
     should_run       every drive is in Operation enabled, and has voltage
     balancing        budgets left, observer alive
     upright          not fallen
-    armed, last      what only ends a run in order: a drive that warns or sends no heartbeat any more, somebody else who
-                     reads or changes the set-up of the drives
+    armed, last      what only ends a run in order: a drive that warns or sends no heartbeat any more, heavy losses of
+                     frames, somebody else who reads or changes the set-up of the drives
 
 An emergency of a drive that goes on is a warning, unless it says that the drive misses its master: a fault shows in the
 statusword within a cycle, and then stops the run.
@@ -30,13 +30,14 @@ from its limits (the module `kind` of its folder). Every comparison is written s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf, isfinite
 from operator import attrgetter
 from typing import Any
 
 from drivers.cia402.emergency import of_communication
 from drivers.imu import ImuHealth
+from estimators.loss_test import SURE, LossTest
 from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
 
@@ -44,7 +45,8 @@ from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 class DriveObservation:
     """One drive in this cycle: `age` s of its latest values, `state` as text, `emergency` as text or "" with its code.
 
-    `heartbeat_age` in s, 0 before the first one; `voltage` and `remote` as in the statusword.
+    `heartbeat_age` in s, 0 before the first one; `voltage` and `remote` as in the statusword; `emergencies` is how
+    many it has sent, `answered_ns` the time of the oldest of its values; `losses` tests how many answers did not come.
     """
 
     name: str
@@ -58,6 +60,9 @@ class DriveObservation:
     voltage: bool = True
     remote: bool = True
     heartbeat_age: float = 0.0
+    emergencies: int = 0
+    answered_ns: int = 0
+    losses: LossTest = field(default_factory=LossTest)
 
 
 @dataclass(slots=True)
@@ -65,12 +70,12 @@ class Observation:
     """The input of the verdict. One object, updated every cycle.
 
     `imu_age` s since the previous IMU sample, or since the last one if none came; `imu_text` is the explanation by the
-    IMU driver; `imu_frozen` sets came without any advance of their time; `late_cycles` consecutive cycles came too late
-    to command the drives; `angle` (rad) and `rate` (rad/s) are those of the fall; `setpoint` is the next one for the
-    drives; `axes` are their measurements, in the terms of the kind of vehicle, and `watched` what its model says about
-    them; `contradiction` is that of accelerometer and gyro, in standard deviations; `foreign_command` and
-    `foreign_request` say what somebody else sends with our ids, "" if nobody does. See the module docstring for
-    `armed`, `should_run`, `balancing` and `upright`.
+    IMU driver; `imu_frozen` sets came without any advance of their time; `imu_losses` tests how many did not come;
+    `late_cycles` consecutive cycles came too late to command the drives; `angle` (rad) and `rate` (rad/s) are those of
+    the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the kind of
+    vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
+    standard deviations; `foreign_command` and `foreign_request` say what somebody else sends with our ids, "" if nobody
+    does. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
     """
 
     drives: tuple[DriveObservation, ...] = ()
@@ -82,6 +87,7 @@ class Observation:
     imu_health: ImuHealth = ImuHealth.OK
     imu_text: str = ""
     imu_frozen: int = 0
+    imu_losses: LossTest = field(default_factory=LossTest)
     angle: float = 0.0
     rate: float = 0.0
     setpoint: float = 0.0
@@ -93,6 +99,12 @@ class Observation:
     foreign_request: str = ""
     observer_alive: bool = True
 
+    def begin(self) -> None:
+        """An experiment starts: what was lost before does not count."""
+        self.imu_losses.reset()
+        for drive in self.drives:
+            drive.losses.reset()
+
 
 _IMU_CODES = {
     ImuHealth.SILENT: Code.IMU_SILENT,
@@ -100,6 +112,8 @@ _IMU_CODES = {
     ImuHealth.OUT_OF_RANGE: Code.IMU_OUT_OF_RANGE,
     ImuHealth.WRONG_LENGTH: Code.IMU_FORMAT,
 }
+
+LOSSES = "the bus loses frames; check termination, plugs, bit rate and load"
 
 _Check = tuple[Callable[[Observation], float], float, Bound]
 
@@ -169,7 +183,7 @@ class Safety:
                 or (drive.emergency and (drive.faulty or of_communication(drive.emergency_code)))
             ):
                 return self._drive_fault(drive)
-            if drive.emergency or not drive.heartbeat_age <= self.heartbeat_timeout:
+            if drive.emergency or not drive.heartbeat_age <= self.heartbeat_timeout or drive.losses.evidence > SURE:
                 concern = drive
         if verdict := _beyond(stopping[When.ARMED], seen):
             return verdict
@@ -193,6 +207,12 @@ class Safety:
             return end(Code.OBSERVER_GONE, "the observer process ended: nothing is recorded any more")
         if concern is not None:
             return self._drive_concern(concern)
+        if seen.imu_losses.evidence > SURE:
+            return end(
+                Code.IMU_LOSSES,
+                "every second frame set of the IMU is missing, or more: the IMU sends at another rate than "
+                f"control.rate, {1.0 / self.period:g} Hz, or {LOSSES}",
+            )
         if seen.foreign_request:
             return end(Code.FOREIGN_SDO, seen.foreign_request)
         return OK
@@ -225,6 +245,8 @@ class Safety:
     def _drive_concern(self, drive: DriveObservation) -> Verdict:
         if drive.emergency:
             return end(Code.DRIVE_WARNING, f"drive {drive.name} warns: {drive.emergency}")
+        if drive.losses.evidence > SURE:
+            return end(Code.DRIVE_LOSSES, f"every second answer of drive {drive.name} is missing, or more: {LOSSES}")
         return end(
             Code.DRIVE_HEARTBEAT,
             f"drive {drive.name} has sent no heartbeat for {drive.heartbeat_age * 1e3:.0f} ms, though its values still "

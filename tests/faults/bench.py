@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import canopen
 
 from drivers.cia402.nmt import NmtCommand, command_frame
-from drivers.cia402.setup import Supervision, configure
+from drivers.cia402.setup import DriveReport, Supervision, configure
 from drivers.vehicle_io import VehicleIo
 from service.control import assembly
-from service.control.loop import Mode
+from service.control.loop import Mode, deadline
 from service.virtual import run as virtual_run
 from service.virtual.passenger import carried
 from simulation.bus.drive_node import VirtualDrive
@@ -117,6 +117,7 @@ class Bench(virtual_run.ClosedLoop):
         self.exceptions: list[str] = []
         self.set_up_error = ""
         """Why the last set-up of the drives was refused."""
+        self._reports: dict[str, DriveReport] = {}
         self._timer = Timer()
         self._backlog: list[CanFrame] = []
         self.imu_frames: deque[bytes] = deque(maxlen=3 * PAST)
@@ -127,7 +128,7 @@ class Bench(virtual_run.ClosedLoop):
         self.imu_ids = assembly.imu_config(vehicle).can_ids
         super().__init__(vehicle, seed=seed)
         self.network = SdoNetwork(self)
-        self.loop._deadline = vehicle.limits.missed_cycles * vehicle.period  # lock-step has none, the daemon has
+        self.loop._deadline = deadline(vehicle)  # lock-step has none, the daemon has
         with self._timer.running():
             self.loop.start()
         self.set_up_drives()
@@ -235,7 +236,8 @@ class Bench(virtual_run.ClosedLoop):
         codes = {}
         try:
             for drive in self.io.drives:
-                report = configure(self.network, drive.config, supervision)
+                report = configure(self.network, drive.config, supervision, self._reports.get(drive.config.name))
+                self._reports[report.name] = report
                 self._to_vehicle(*command_frame(NmtCommand.START, drive.config.node), 0)
                 codes[report.name] = report.error_code
         except UprightError as error:

@@ -154,7 +154,7 @@ def recovery(roll_deg: float, rate_deg: float, precession_deg: float) -> float:
     subject = watch()
     subject.reset()
     drives = GimbalMeasurement(1, math.radians(precession_deg), 0.0, 0.0, 0.0, 0.0)
-    subject.update(Lean(math.radians(roll_deg), math.radians(rate_deg)), drives)
+    subject.update(VEHICLE.period, Lean(math.radians(roll_deg), math.radians(rate_deg)), drives)
     return subject.recovery
 
 
@@ -198,7 +198,7 @@ def test_recovery_forgives_one_wrong_sample() -> None:
     drives = GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0)
     shares = []
     for rate in (0.0, 0.0, 5.0, 0.0, 0.0):
-        subject.update(Lean(0.0, rate), drives)
+        subject.update(VEHICLE.period, Lean(0.0, rate), drives)
         shares.append(subject.recovery)
     assert max(shares) < 0.01
 
@@ -209,7 +209,7 @@ def test_jump_of_one_sample_is_forgiven_and_one_that_stays_is_not() -> None:
         subject.reset()
         largest = []
         for reading in readings:
-            subject.update(Lean(0.0, reading), GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0))
+            subject.update(VEHICLE.period, Lean(0.0, reading), GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0))
             largest.append(subject.jump)
         assert (max(largest) > math.radians(1.0)) == found
         assert np.isfinite(largest).all()

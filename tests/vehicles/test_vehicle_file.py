@@ -120,6 +120,6 @@ def test_no_number_of_a_vehicle_file_is_infinite(tmp_path: Path) -> None:
 
 def test_drive_stops_soon_after_the_service_would_without_setpoints() -> None:
     vehicle = load("monocab")
-    assert vehicle.setpoint_timeout == pytest.approx(0.03)  # 3 cycles of 4 ms twice, and a cycle and a half
+    assert vehicle.setpoint_timeout == pytest.approx(0.034)  # 7 cycles of 4 ms, and a cycle and a half
     slow = vehicle.model_copy(update={"limits": vehicle.limits.model_copy(update={"missed_cycles": 50})})
     assert slow.setpoint_timeout == vehicle.control.heartbeat_timeout

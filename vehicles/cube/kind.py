@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import radians
 from typing import Any
@@ -10,15 +10,19 @@ from typing import Any
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_robustness import CheckedDesign
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
-from vehicles.contract import Command, Lean, Unwatched
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
+from vehicles.contract import Command, Lean
 from vehicles.cube.axes import Wheel, WheelMeasurement
 from vehicles.cube.controller import WheelController, design
 from vehicles.cube.file import CubeFile
 from vehicles.cube.handling import CubeHandling
+from vehicles.cube.watch import CubeWatch
 from vehicles.excitation import Excitation
 
 NEWTON_METRES, RADIANS_PER_SECOND = Unit("N m", digits=3), Unit("rad/s", digits=0)
+
+FOLLOWING = 0.005
+"""Share of the wheel's largest rate by which it may have turned otherwise: a cogging motor is no fault."""
 
 
 class CubeCode(StrEnum):
@@ -28,6 +32,7 @@ class CubeCode(StrEnum):
     TILT_RATE = "tilt_rate"
     SETPOINT = "setpoint"
     WHEEL_RATE = "wheel_rate"
+    WHEEL_FOLLOWING = "wheel_following"
     FALLEN = "fallen"
     WHEEL_RATE_BUDGET = "wheel_rate_budget"
 
@@ -41,6 +46,16 @@ def bounds(vehicle: CubeFile) -> tuple[Bound, ...]:
         Bound(CubeCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_PER_SECOND, When.ALWAYS),
         Bound(CubeCode.SETPOINT, "torque", "setpoint", limits.torque, NEWTON_METRES),
         Bound(CubeCode.WHEEL_RATE, "rate of the wheel", "axes.rate", limits.wheel_rate, RADIANS_PER_SECOND),
+        Bound(
+            CubeCode.WHEEL_FOLLOWING,
+            "the wheel does not turn as its torque makes it: a difference",
+            "watched.wheel_following",
+            FOLLOWING * limits.wheel_rate,
+            RADIANS_PER_SECOND,
+            When.UPRIGHT,
+        ),
+        replace(IMU_CONTRADICTION, when=When.UPRIGHT),  # it comes down onto its support hard
+        GYRO_JUMP,
         Bound(CubeCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
         Bound(
             CubeCode.WHEEL_RATE_BUDGET,
@@ -84,7 +99,7 @@ class Cube:
 
     def __init__(self, vehicle: CubeFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
-        self.watch = Unwatched()
+        self.watch = CubeWatch(vehicle, io)
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
         self._wheel = Wheel(io)

@@ -12,7 +12,7 @@ from estimators.data.segments import SUPPORT_MARGIN
 from estimators.roll_filter import RollState
 from models.control_design import ControlDesignError
 from models.control_robustness import CheckedDesign
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, IMU_CONTRADICTION, Bound, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
@@ -37,15 +37,12 @@ class MonocabCode(StrEnum):
     PRECESSION_BUDGET = "precession_budget"
     GIMBAL_FOLLOWING = "gimbal_following"
     TRIM_FOLLOWING = "trim_following"
-    GYRO_JUMP = "gyro_jump"
     FALLEN = "fallen"
     RECOVERY = "recovery"
     TORQUE_BALANCE = "torque_balance"
 
 
 METRES, PERCENT = Unit("m", digits=3), Unit("%", 100.0, digits=0)
-JUMP_DEG = 1.0
-"""deg/s beyond what torques and noise explain."""
 GAINED_DEG = 5.0
 """deg/s of roll rate that no torque explains. Chosen, so that the swinging of a flexible cabin (the hidden effect
 `flexible_mode`) is no fault; a fall reaches 12 deg/s."""
@@ -101,14 +98,7 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
             DEGREES,
         ),
         IMU_CONTRADICTION,
-        Bound(
-            MonocabCode.GYRO_JUMP,
-            "the gyro jumps as nothing can make the vehicle roll: a change",
-            "watched.jump",
-            radians(JUMP_DEG),
-            DEGREES_PER_SECOND,
-            When.UPRIGHT,
-        ),
+        GYRO_JUMP,
         Bound(
             MonocabCode.FALLEN,
             "the vehicle lies on its support while it is to be upright: roll",

@@ -25,10 +25,11 @@ from drivers.cia402.drive import Drive
 from drivers.vehicle_io import VehicleIo
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models.gravity import GRAVITY
-from vehicles.contract import Lean
+from vehicles.contract import FIXED, Lean
 from vehicles.monocab.axes import GimbalMeasurement
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.file import MonocabFile
+from vehicles.watch import GyroJumps
 
 DEVIATIONS = 2.0
 """Standard deviations within which a parameter may be."""
@@ -43,12 +44,8 @@ REACTION = 8.0 / 16.0
 """Reaction of a speed loop by the symmetric optimum, over lag^2 and load per inertia: 8 tau^2 with lag = 4 tau."""
 SHORTEST = 0.25
 """Share of its mean below which no lag is tried: two standard deviations may reach zero."""
-JUMP_MEMORY = 0.05
-"""s over which jumps of the gyro are added up."""
 NOTHING_LEFT = 1e3
 """Share that stands for a lean with no precession left."""
-NOISE = 0.01
-"""rad/s between two samples that are the gyro's own noise, or vibration."""
 
 
 class Following:
@@ -76,10 +73,14 @@ class Following:
         self._bands: deque[tuple[float, float]] = deque(maxlen=self._latest)
         self.error = 0.0
 
-    def update(self, load: float) -> None:
-        """One cycle later. `load` is what the axis reacts to: the roll rate, or an acceleration."""
+    def update(self, dt: float, load: float) -> None:
+        """One cycle, `dt` s after the last. `load` is what the axis reacts to: the roll rate, or an acceleration."""
         if not self._drives:
             return
+        for _ in range(max(1, round(dt / self._period))):
+            self._step(load)
+
+    def _step(self, load: float) -> None:
         setpoint = sum(drive.setpoint for drive in self._drives) / len(self._drives)
         lowest, highest = 1e9, -1e9
         for loop in self._loops:
@@ -129,8 +130,8 @@ class Momentum:
         """Begin again with nothing gained."""
         self._up = self._down = self.gained = 0.0
 
-    def update(self, change: float, roll: float, precession_rate: float, trim_position: float) -> None:
-        """One cycle, in which the roll rate has changed by `change` (rad/s)."""
+    def update(self, dt: float, change: float, roll: float, precession_rate: float, trim_position: float) -> None:
+        """One cycle of `dt` s, in which the roll rate has changed by `change` (rad/s)."""
         expected, doubt = 0.0, self._load
         for (value, error), by in (
             (self._stiffness, roll),
@@ -140,9 +141,9 @@ class Momentum:
             expected += value * by
             doubt += error * abs(by)
         inertia, error = self._inertia
-        torque = inertia * change / self._period
-        doubt += error * abs(change) / self._period
-        share = self._period / inertia
+        torque = inertia * change / dt
+        doubt += error * abs(change) / dt
+        share = dt / inertia
         self._up = max(0.0, self._up + (torque - expected - doubt) * share)
         self._down = max(0.0, self._down + (expected - torque - doubt) * share)
         self.gained = max(self._up, self._down)
@@ -154,18 +155,16 @@ class MonocabWatch:
     brought back that is used up."""
 
     __slots__ = (
-        "_acceleration",
         "_angle",
         "_height",
-        "_jumped",
         "_jumps",
         "_lag",
         "_period",
         "_pole",
         "_rate",
         "_reach",
-        "_roll_rate",
         "_share",
+        "acceleration",
         "gained",
         "gimbal_following",
         "gimbals",
@@ -199,8 +198,7 @@ class MonocabWatch:
         # Twice what precession at its limit and gravity on a support give, on the lightest vehicle that is likely.
         lightest = parameters.inertia - DEVIATIONS * deviations["inertia"]
         torque = parameters.angular_momentum * limits.precession_rate + parameters.gravity_stiffness * vehicle.support
-        self._acceleration = 2.0 * torque / max(lightest, 0.5 * parameters.inertia)
-        self._jumps: deque[float] = deque(maxlen=max(2, round(JUMP_MEMORY / period)))
+        self._jumps = GyroJumps(2.0 * torque / max(lightest, 0.5 * parameters.inertia), period)
         self.reset()
 
     def reset(self) -> None:
@@ -208,34 +206,21 @@ class MonocabWatch:
         self.gimbals.reset()
         self.trim.reset()
         self.momentum.reset()
-        self._roll_rate: float | None = None
-        self._jumps.clear()
-        self._jumped = 0.0
+        self._jumps.reset()
         self._share = inf
+        self.acceleration = FIXED
         self.gimbal_following = self.trim_following = self.jump = self.gained = self.recovery = 0.0
 
-    def update(self, lean: Lean, drives: GimbalMeasurement) -> None:
-        """One cycle, before its setpoints are sent."""
-        before = lean.rate if self._roll_rate is None else self._roll_rate
-        self._roll_rate = lean.rate
-        change = lean.rate - before
-        self.gimbals.update(lean.rate)
-        self.trim.update(self._height * change / self._period - GRAVITY * lean.angle)
+    def update(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> None:
+        """One cycle, `dt` s after the last one, before its setpoints are sent."""
+        change = self._jumps.update(lean.rate)
+        self.jump = self._jumps.jump
+        self.gimbals.update(dt, lean.rate)
+        self.trim.update(dt, self._height * change / dt - GRAVITY * lean.angle)
         self.gimbal_following, self.trim_following = self.gimbals.error, self.trim.error
-        explained = change - self._watch_gyro(change)
-        self.momentum.update(explained, lean.angle, drives.precession_rate, drives.trim_position)
+        self.momentum.update(dt, change, lean.angle, drives.precession_rate, drives.trim_position)
         self.gained = self.momentum.gained
         self._watch_recovery(lean, drives.precession)
-
-    def _watch_gyro(self, change: float) -> float:
-        """The part of a change that is a jump. A wrong sample alone jumps there and back: the sum of jumps is not zero
-        for one cycle, so that two cycles count."""
-        possible = self._acceleration * self._period + NOISE
-        beyond = max(change - possible, 0.0) + min(change + possible, 0.0)
-        self._jumps.append(beyond)
-        last, self._jumped = self._jumped, sum(self._jumps)
-        self.jump = min(abs(last), abs(self._jumped))
-        return beyond
 
     def _watch_recovery(self, lean: Lean, precession: float) -> None:
         """The smaller of two cycles, so that a single wrong sample of the gyro is forgiven."""

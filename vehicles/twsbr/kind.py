@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import radians
 from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
-from vehicles.contract import Command, Lean, Unwatched
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, IMU_CONTRADICTION, Bound, Unit, When
+from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.twsbr.axes import WheelMeasurement, Wheels
 from vehicles.twsbr.controller import TiltController
 from vehicles.twsbr.file import TwsbrFile
 from vehicles.twsbr.handling import WheelHandling
+from vehicles.twsbr.watch import TwsbrWatch
 
 
 class TwsbrCode(StrEnum):
@@ -44,6 +45,7 @@ def bounds(vehicle: TwsbrFile) -> tuple[Bound, ...]:
         Bound(TwsbrCode.SETPOINT, "voltage", "setpoint", limits.voltage, VOLTS),
         Bound(TwsbrCode.WHEEL_RATE, "rate of the left wheel", "axes.left_rate", spin, RADIANS_PER_SECOND),
         Bound(TwsbrCode.WHEEL_RATE, "rate of the right wheel", "axes.right_rate", spin, RADIANS_PER_SECOND),
+        replace(IMU_CONTRADICTION, when=When.UPRIGHT),  # it comes down onto its support hard
         Bound(TwsbrCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
         Bound(TwsbrCode.TRAVEL, "travel", "axes.travel", limits.travel, METRES, When.BALANCING),
         Bound(
@@ -93,7 +95,7 @@ class Twsbr:
 
     def __init__(self, vehicle: TwsbrFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
-        self.watch = Unwatched()
+        self.watch = TwsbrWatch(vehicle.parameters.wheel_radius.value)
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
         self._wheels = Wheels(io, vehicle.parameters.wheel_radius.value)

@@ -51,7 +51,7 @@ def observer_gone(bench: Bench) -> None:
 FAULTS: tuple[Fault, ...] = (
     *(
         harmless(f"held_up_{ms}ms", f"the daemon is held up for {ms} ms", held_up(ms * 1e-3), passes=True)
-        for ms in (4, 8)
+        for ms in (4, 8, 20)
     ),
     harmless(
         "held_up_again",
@@ -71,7 +71,7 @@ FAULTS: tuple[Fault, ...] = (
             passes=True,
             why="known when it gets the processor again; what takes longer than 120 ms the drives notice, and stop",
         )
-        for ms in (20, 60, 200, 1000)
+        for ms in (40, 60, 200, 1000)
     ),
     in_order("observer_gone", "the observer process ends", observer_gone, says=("observer",)),
 )

@@ -269,11 +269,11 @@ ACCELERATIONS = slice(0, 3)
 
 FAULTS: tuple[Fault, ...] = (
     stopped("imu_silent", "the IMU stops sending", flag("silent"), Code.IMU_SILENT, within=CONTROL_LOST),
-    *(harmless(f"imu_gap_{sets}", f"{sets} sets of the IMU are missing", gap(sets), passes=True) for sets in (1, 2)),
+    *(harmless(f"imu_gap_{sets}", f"{sets} sets of the IMU are missing", gap(sets), passes=True) for sets in (1, 3, 6)),
     harmless(
-        "imu_gap_3",
-        "3 sets of the IMU are missing",
-        gap(3),
+        "imu_gap_7",
+        "7 sets of the IMU are missing",
+        gap(7),
         or_stopped=(Code.IMU_SILENT,),
         passes=True,
         why="as many as limits.missed_cycles allows: on the edge",
@@ -287,7 +287,7 @@ FAULTS: tuple[Fault, ...] = (
             within=CONTROL_LOST,
             passes=True,
         )
-        for sets in (4, 10)
+        for sets in (8, 12)
     ),
     stopped("imu_stuck", "the IMU repeats its last set", flag("stuck"), Code.IMU_STUCK, within=CONTROL_LOST),
     stopped(
@@ -482,7 +482,7 @@ FAULTS: tuple[Fault, ...] = (
         "imu_rate_third",
         "the IMU sends at a third of its rate",
         slower(3),
-        Wanted.IMU_TIME,
+        Code.IMU_LOSSES,
         Code.IMU_SILENT,
         or_in_order=True,
         why="the device has lost its settings; the controller was not designed for this rate",
@@ -491,7 +491,7 @@ FAULTS: tuple[Fault, ...] = (
         "imu_rate_quarter",
         "the IMU sends at a quarter of its rate",
         slower(4),
-        Wanted.IMU_TIME,
+        Code.IMU_LOSSES,
         Code.IMU_SILENT,
         or_in_order=True,
     ),

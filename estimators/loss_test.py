@@ -1,0 +1,42 @@
+"""Does a bus lose more than a running bus may?
+
+A sequential test (Wald 1945; as CUSUM: Page, Biometrika 41 (1954) 100) between two shares of lost cycles: `USUAL`, and
+every second one. It says so as soon as the losses are more likely by the odds `SURE` with the second: after some twenty
+cycles, where a count of losses in a row would wait for chance.
+"""
+
+from __future__ import annotations
+
+from math import log
+
+USUAL = 0.06
+"""Share of the cycles in which something is lost on a bus that loses 1 % of its frames: three of the IMU, SYNC,
+setpoint and answer."""
+HEAVY = 0.5
+"""Share of lost cycles that no controller was designed for."""
+SURE = log(1e9)
+"""Nats. A bus with `USUAL` losses reaches them once in more than 1e9 cycles, 1,100 h at 250 Hz."""
+
+_LOST = log(HEAVY / USUAL)
+_KEPT = log((1.0 - HEAVY) / (1.0 - USUAL))
+
+
+class LossTest:
+    """Count every cycle: `missed` ones, and then one that came. `evidence` (nats) is that of heavy losses."""
+
+    __slots__ = ("evidence",)
+
+    def __init__(self) -> None:
+        self.evidence = 0.0
+
+    def reset(self) -> None:
+        """Forget what was lost."""
+        self.evidence = 0.0
+
+    def came(self, missed: int = 0) -> None:
+        """A cycle that was not lost, after `missed` ones that were."""
+        self.evidence = max(0.0, self.evidence + missed * _LOST + _KEPT)
+
+    def lost(self) -> None:
+        """A cycle that was lost."""
+        self.evidence += _LOST
