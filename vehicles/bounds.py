@@ -32,6 +32,7 @@ class Code(StrEnum):
     NOT_FINITE = "not_finite"
     DRIVE_SILENT = "drive_silent"
     DRIVE_LOSSES = "drive_losses"
+    AXIS_CONTRADICTION = "axis_contradiction"
     DRIVE_EMERGENCY = "drive_emergency"
     DRIVE_RESTARTED = "drive_restarted"
     DRIVE_NOT_ENABLED = "drive_not_enabled"

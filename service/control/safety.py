@@ -17,8 +17,9 @@ depend on the earlier ones.
     should_run       every drive is in Operation enabled, and has voltage
     balancing        budgets left, observer alive
     upright          not fallen
-    armed, last      what only ends a run in order: a drive that warns or sends no heartbeat any more, heavy losses of
-                     frames, somebody else who reads or changes the set-up of the drives
+    armed, last      what only ends a run in order: a drive that warns or sends no heartbeat any more, position
+                     and rate contradict each other, heavy losses of frames, somebody else who reads or changes the
+                     set-up of the drives
 
 An emergency of a drive that goes on is a warning, unless it says that the drive misses its master: a fault shows in the
 statusword within a cycle, and then stops the run.
@@ -37,6 +38,7 @@ from typing import Any
 
 from drivers.cia402.emergency import of_communication
 from drivers.imu import ImuHealth
+from estimators.axis_consistency import AxisConsistency
 from estimators.loss_test import SURE, LossTest
 from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
@@ -47,6 +49,7 @@ class DriveObservation:
 
     `heartbeat_age` in s, 0 before the first one; `voltage` and `remote` as in the statusword; `emergencies` is how
     many it has sent, `answered_ns` the time of the oldest of its values; `losses` tests how many answers did not come.
+    `slip` is by how many turns of the motor its position and its rate contradict each other, by the sums of `axis`.
     """
 
     name: str
@@ -63,6 +66,8 @@ class DriveObservation:
     emergencies: int = 0
     answered_ns: int = 0
     losses: LossTest = field(default_factory=LossTest)
+    axis: AxisConsistency = field(default_factory=AxisConsistency)
+    slip: float = 0.0
 
 
 @dataclass(slots=True)
@@ -104,6 +109,7 @@ class Observation:
         self.imu_losses.reset()
         for drive in self.drives:
             drive.losses.reset()
+            drive.axis.reset()
 
 
 _IMU_CODES = {
@@ -113,6 +119,8 @@ _IMU_CODES = {
     ImuHealth.WRONG_LENGTH: Code.IMU_FORMAT,
 }
 
+SLIP = 0.1
+"""Turns of the motor: more than the resolution and the filter of a drive make."""
 LOSSES = "the bus loses frames; check termination, plugs, bit rate and load"
 
 _Check = tuple[Callable[[Observation], float], float, Bound]
@@ -183,7 +191,12 @@ class Safety:
                 or (drive.emergency and (drive.faulty or of_communication(drive.emergency_code)))
             ):
                 return self._drive_fault(drive)
-            if drive.emergency or not drive.heartbeat_age <= self.heartbeat_timeout or drive.losses.evidence > SURE:
+            if (
+                drive.emergency
+                or not drive.heartbeat_age <= self.heartbeat_timeout
+                or drive.losses.evidence > SURE
+                or not drive.slip <= SLIP
+            ):
                 concern = drive
         if verdict := _beyond(stopping[When.ARMED], seen):
             return verdict
@@ -245,6 +258,12 @@ class Safety:
     def _drive_concern(self, drive: DriveObservation) -> Verdict:
         if drive.emergency:
             return end(Code.DRIVE_WARNING, f"drive {drive.name} warns: {drive.emergency}")
+        if not drive.slip <= SLIP:
+            return end(
+                Code.AXIS_CONTRADICTION,
+                f"position and rate of drive {drive.name} differ by {drive.slip:.2f} turns of the motor: "
+                "check encoder and units",
+            )
         if drive.losses.evidence > SURE:
             return end(Code.DRIVE_LOSSES, f"every second answer of drive {drive.name} is missing, or more: {LOSSES}")
         return end(
