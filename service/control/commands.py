@@ -68,6 +68,7 @@ class Commands:
         """The parameters for which the controllers are and were designed."""
         self.record = Record.read(data, vehicle.vehicle.kind)
         """What was done of the commissioning."""
+        self._published: dict[str, Any] = {}
         self._publish_record()
         if self.adopted.acting != VEHICLE_FILE:
             file = self.adopted.acting.of(vehicle)
@@ -140,6 +141,8 @@ class Commands:
             except ValidationError as error:
                 return result(ExitCode.USAGE, "bad_request", f"Not a design: {error.errors()[0]['msg']}.")
         adopted = adopted.model_copy(update={"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")})
+        if self._loop.mode is Mode.RUNNING:  # before the work: it would take time from the control loop
+            return result(ExitCode.REFUSED, "design", f"{self._loop.reason} is running; `upright stop` ends it.")
         file = adopted.of(self._vehicle)
         pilot = await asyncio.to_thread(self._loop.designed, file)
         if self._loop.mode is not Mode.RUNNING:
@@ -155,6 +158,9 @@ class Commands:
 
     def _commissioning(self, request: Message) -> Message:
         if "entry" in request:
+            if self._loop.mode is Mode.RUNNING:  # the loop does not wait for a disk
+                text = f"{self._loop.reason} is running: add the entry when it is over."
+                return result(ExitCode.REFUSED, "commissioning", text)
             try:
                 entry = Entry.model_validate(request["entry"])
             except ValidationError as error:
@@ -163,11 +169,12 @@ class Commands:
             following.write(self._data)
             self.record = following
             self._publish_record()
-        entries = [each.model_dump(mode="json") for each in self.record.entries]
-        return result(ExitCode.DONE, commissioning=self.record.to_json(), entries=entries)
+        return result(ExitCode.DONE, **self._published)
 
     def _publish_record(self) -> None:
         document = self.record.to_json()
+        entries = [each.model_dump(mode="json") for each in self.record.entries]
+        self._published = {"commissioning": document, "entries": entries}
         if document is not None:
             self._observer.retain("commissioning", document)
 
@@ -178,8 +185,8 @@ class Commands:
             self._loop.stop_now("an operator requested an immediate stop")
         else:
             self._loop.end_experiment("an operator requested the end")
-        while self._loop.mode is Mode.RUNNING:
-            await asyncio.sleep(0.02)
+        if self._watching is not None:
+            await asyncio.wait({self._watching})
         return result(ExitCode.DONE, text=self._loop.reason)
 
     async def _experiment(self, name: str, client: str) -> AsyncGenerator[Message]:

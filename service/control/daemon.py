@@ -23,14 +23,15 @@ from drivers.cia402.setup import DriveReport, Supervision, configure
 from drivers.imu_format import check_format
 from drivers.socketcan import start_clock
 from service.control import assembly
-from service.control.api import ApiServer
 from service.control.commands import Commands
 from service.control.health import HealthReports
 from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
 from service.control.mqtt_replies import MqttReplies
 from service.control.notify import Notifier
 from service.control.readiness import drive_states
+from service.control.server import ApiServer
 from service.observer.client import ObserverClient
+from service.turns import Turns
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame
 from vehicles.file import VehicleFile
@@ -80,7 +81,8 @@ class Daemon:
         self._clock_steps = 0
         hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses())
         hello["clock_base_ns"] = self._clock.base_ns
-        self.observer = ObserverClient(hello, lossless=lock_step)
+        self._turns = Turns()
+        self.observer = ObserverClient(hello, lossless=lock_step, turns=self._turns)
         self.loop = ControlLoop(
             vehicle,
             send=self._send,
@@ -93,7 +95,7 @@ class Daemon:
         self._replies = MqttReplies(self.commands, self.observer.reply)
         self.observer.on_command = self._replies.take
         self._health = HealthReports(vehicle)
-        self._api = ApiServer(places.socket, self.commands.answer, self.commands.sign)
+        self._api = ApiServer(places.socket, self.commands.answer, self.commands.sign, self._turns)
 
     def stop(self) -> None:
         """End in order: a running experiment first lowers the vehicle."""
@@ -158,7 +160,7 @@ class Daemon:
                 bus.tap = self.observer.offer_can
         self._link = CanopenLink(drives)
         self._buses = BusGroup(buses)
-        self._buses.start(self.loop.on_frames, self._on_bus_down)
+        self._buses.start(self._on_frames, self._on_bus_down)
 
     def _close_buses(self) -> None:
         if self._link is not None:
@@ -171,6 +173,12 @@ class Daemon:
     def _send(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
         if self._buses is not None:
             self._buses.send(0, can_id, data, timestamp_ns)
+
+    def _on_frames(self, frames: list[CanFrame]) -> None:
+        cycles = self.loop.cycles
+        self.loop.on_frames(frames)
+        if self.loop.cycles != cycles:
+            self._turns.take()
 
     def _on_unclaimed_frame(self, frame: CanFrame) -> None:
         if self._link is not None and frame.bus == 0:
@@ -306,6 +314,7 @@ class Daemon:
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
             "diagnosis": self.observer.diagnosis,
+            "clients": self._api.statistics(),
             "lease": self.commands.held(),
             "design": self.commands.adopted.to_json(),
             "socket": str(self.places.socket),

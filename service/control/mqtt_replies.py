@@ -16,7 +16,7 @@ from service.control.commands import Commands
 from telemetry.errors import UprightError
 
 MOST_RUNNING = 16
-"""Maximum number of commands that are answered concurrently."""
+"""Maximum number of commands that are answered concurrently. A stop always is: the gate limits their number."""
 
 SUMMARY = ("recording", "interlocks")
 """Keys of a result that are included in a reply."""
@@ -39,7 +39,7 @@ class MqttReplies:
             if answer["exit_code"] or request["verb"] == "release":
                 self._send(client, _reply(identity, answer))
             return
-        if len(self._running) >= MOST_RUNNING:
+        if len(self._running) >= MOST_RUNNING and request["verb"] != "stop":
             self._send(
                 client, {"id": identity, "ok": False, "code": "busy", "text": "Too many commands.", "done": True}
             )

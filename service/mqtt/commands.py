@@ -1,13 +1,14 @@
 """The gate that a command over MQTT has to pass. Pure: the caller provides the time.
 
 A message that is retained, too large, not a command, late, a repetition or out of order is refused, and counted. A stop
-passes even late and out of order: it can only bring the vehicle to rest. All memory is bounded.
+passes even late and out of order, and in a flood of other commands: it can only bring the vehicle to rest. All memory
+is bounded, and so is the number of commands a second that pass.
 """
 
 from __future__ import annotations
 
 import json
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +24,9 @@ OLDEST = 2.0
 
 MOST_A_SECOND = 100
 """Maximum number of commands that are processed in one second."""
+
+MOST_STOPS_A_SECOND = 10
+"""Maximum number of stops of a kind, orderly or immediate, in one second: none of them does more than the first."""
 
 MOST_CLIENTS = 64
 """Number of clients whose last commands are kept."""
@@ -71,7 +75,7 @@ class CommandGate:
         )
         self._clients: OrderedDict[str, _Client] = OrderedDict()
         self._second = 0
-        self._in_second = 0
+        self._in_second: Counter[str] = Counter()
 
     def judge(self, verb: str, payload: bytes, *, retained: bool, now: float) -> Passed | Refused:
         """Check `payload` on cmd/`verb` at `now`, Unix seconds."""
@@ -84,7 +88,7 @@ class CommandGate:
             return Refused("retained", "A retained command is not executed: it may be outdated.")
         if len(payload) > LARGEST:
             return Refused("huge", f"A command has at most {LARGEST} bytes.")
-        if verb not in UNORDERED and self._is_flood(now):
+        if verb not in UNORDERED and self._count("command", now) > MOST_A_SECOND:
             return Refused("flood", f"More than {MOST_A_SECOND} commands per second.")
         model = ARGUMENTS.get(verb)
         try:
@@ -109,14 +113,18 @@ class CommandGate:
             if command.timestamp < client.latest:
                 return Refused("reordered", "A later command has already been received.", *who)
             client.latest = command.timestamp
+        elif self._count(f"{verb} {arguments}", now) > MOST_STOPS_A_SECOND:
+            return Refused("flood", f"More than {MOST_STOPS_A_SECOND} stops per second.")
         client.known.append(command.id)
         return Passed(verb, command.client, command.id, arguments)
 
-    def _is_flood(self, now: float) -> bool:
+    def _count(self, what: str, now: float) -> int:
+        """How many there were of `what` in this second, with this one."""
         if int(now) != self._second:
-            self._second, self._in_second = int(now), 0
-        self._in_second += 1
-        return self._in_second > MOST_A_SECOND
+            self._second = int(now)
+            self._in_second.clear()
+        self._in_second[what] += 1
+        return self._in_second[what]
 
     def _client(self, name: str) -> _Client:
         client = self._clients.get(name) or _Client()

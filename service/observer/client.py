@@ -19,6 +19,7 @@ from typing import Any
 from service.observer import link
 from service.observer.pipe import ObserverPipe, PipeStatistics
 from service.observer.raw_log_client import RawLogProcess
+from service.turns import Turns
 from telemetry.samples import CanFrame, Frame
 from vehicles import registry
 
@@ -32,10 +33,11 @@ class ObserverClient:
     """Starts and feeds one observer process. All methods are called in the event loop's thread.
 
     `hello` has the data about the vehicle for the observer (`service.control.assembly.observer_hello`). `lossless` is
-    for a simulated bus whose time can stand still: the client then waits while the pipe is full.
+    for a simulated bus whose time can stand still: the client then waits while the pipe is full. The observer's
+    messages are read in `turns`.
     """
 
-    def __init__(self, hello: dict[str, Any], *, lossless: bool = False) -> None:
+    def __init__(self, hello: dict[str, Any], *, lossless: bool = False, turns: Turns | None = None) -> None:
         self.estimates: dict[str, Any] = {}
         """Latest results of the running or last recording: `Estimate.to_json` by method."""
         self.diagnosis: dict[str, Any] | None = None
@@ -48,6 +50,7 @@ class ObserverClient:
         """Called with a command received by MQTT: verb, client, id, arguments."""
         self._hello = hello
         self._lossless = lossless
+        self._turns = turns or Turns()
         self._counts = PipeStatistics()
         self._pipe: ObserverPipe | None = None
         self._process: Process | None = None
@@ -114,7 +117,9 @@ class ObserverClient:
                 *command, pass_fds=(other.fileno(),), stdin=DEVNULL, stdout=DEVNULL, start_new_session=True
             )
         channels = len(registry.channels_of(self._hello["kind"]))
-        pipe = self._pipe = ObserverPipe(own, channels, self._counts, self._handle, lossless=self._lossless)
+        pipe = self._pipe = ObserverPipe(
+            own, channels, self._counts, self._handle, lossless=self._lossless, turns=self._turns
+        )
         self._watch = asyncio.create_task(self._wait_for_exit(self._process, pipe), name="watch the observer")
         pipe.post(link.pack_json({"type": "hello", **self._hello}))
         for message in self._kept.values():

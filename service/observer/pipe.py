@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.observer import link
+from service.turns import READ, Turns
 from telemetry.samples import CanFrame, Frame
 
 BATCH_NS = 20_000_000
@@ -33,6 +34,9 @@ RESERVED = 64 << 10
 
 PACKETS_A_TURN = 32
 """Maximum number of waiting packets that are sent in one turn."""
+
+MESSAGES_A_TURN = 4
+"""Maximum number of messages of the observer that are read in one turn (`service.turns`)."""
 
 LONGEST_WAIT = 5.0
 """s that a lossless pipe waits for room."""
@@ -53,7 +57,7 @@ class PipeStatistics:
 class ObserverPipe:
     """Control's end `connection`, in a running event loop, for cycles of `channels` values.
 
-    `on_message` gets the JSON objects from the observer. `is_open` is False once the other end is closed.
+    `on_message` gets the JSON objects from the observer, in `turns`. `is_open` is False once the other end is closed.
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class ObserverPipe:
         on_message: Callable[[dict[str, Any]], None],
         *,
         lossless: bool,
+        turns: Turns,
     ) -> None:
         self.is_open = True
         self._socket = connection
@@ -79,7 +84,8 @@ class ObserverPipe:
         self._waiting: deque[bytes] = deque()
         self._waiting_size = 0
         self._awaits_room = False
-        self._loop.add_reader(connection, self.receive)
+        self._turns = turns
+        turns.watch(connection.fileno(), READ, self._receive_some)
 
     def offer(self, frame: Frame) -> None:
         """Send one control cycle."""
@@ -122,23 +128,34 @@ class ObserverPipe:
         """Discard waiting packets, and close this end."""
         if self.is_open:
             self.is_open = False
-            self._loop.remove_reader(self._socket)
+            self._turns.forget(self._socket.fileno())
             self._loop.remove_writer(self._socket)
             self._socket.close()
 
     def receive(self) -> None:
-        """Read the messages of the observer."""
-        while self.is_open:
-            try:
-                packet = self._socket.recv(link.LARGEST)
-            except BlockingIOError:
+        """Read all that the observer has sent."""
+        while self._receive_one():
+            pass
+
+    def _receive_some(self, events: int) -> None:
+        for _ in range(MESSAGES_A_TURN):
+            if not self._receive_one():
                 return
-            except OSError:
-                packet = b""
-            if not packet:
-                self.close()
-                return
-            self._on_message(link.unpack_json(packet))
+
+    def _receive_one(self) -> bool:
+        if not self.is_open:
+            return False
+        try:
+            packet = self._socket.recv(link.LARGEST)
+        except BlockingIOError:
+            return False
+        except OSError:
+            packet = b""
+        if not packet:
+            self.close()
+            return False
+        self._on_message(link.unpack_json(packet))
+        return True
 
     def _flush_frames(self) -> None:
         frames, self._frames = self._frames, []

@@ -24,7 +24,8 @@ from estimators.identify.run import with_values
 from models import library
 from models.model import Model
 from service.cli import app
-from service.control.api import ApiServer, ExitCode, Message, result
+from service.control.api import ExitCode, Message, result
+from service.control.server import ApiServer
 from service.offline.next_experiment import experiments_of, separating, suggest_for
 from service.virtual.run import record
 from telemetry.errors import UprightError

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from service.control.api import ApiError, ApiServer, ExitCode, Message, call, result
+from service.control.api import ApiError, ExitCode, Message, call, result
+from service.control.server import ApiServer
 
 
 async def answer(request: Message) -> AsyncIterator[Message]:

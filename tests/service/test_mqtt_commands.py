@@ -15,7 +15,16 @@ from hypothesis import strategies as st
 from mosquitto import OPERATOR, WATCHER, Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
-from service.mqtt.commands import LARGEST, MOST_A_SECOND, MOST_CLIENTS, OLDEST, CommandGate, Passed, Refused
+from service.mqtt.commands import (
+    LARGEST,
+    MOST_A_SECOND,
+    MOST_CLIENTS,
+    MOST_STOPS_A_SECOND,
+    OLDEST,
+    CommandGate,
+    Passed,
+    Refused,
+)
 from service.mqtt.home_assistant import discovery
 from service.mqtt.topics import ARGUMENTS, TOPICS, Parameter, schemas
 from service.observer.client import ObserverClient
@@ -116,6 +125,14 @@ def test_flood_of_commands_is_limited_but_a_stop_passes() -> None:
     assert said.count("passed") == MOST_A_SECOND
     assert judge(gate, command("stop"), "stop") == "passed"
     assert judge(gate, command("next", at=NOW + 1.0), "renew", now=NOW + 1.0) == "passed"
+
+
+def test_flood_of_stops_is_limited_but_the_other_kind_of_stop_passes() -> None:
+    gate = CommandGate()
+    verdicts = [judge(gate, command(str(number)), "stop") for number in range(3 * MOST_STOPS_A_SECOND)]
+    assert verdicts.count("passed") == MOST_STOPS_A_SECOND
+    assert judge(gate, command("now", now=True), "stop") == "passed"
+    assert judge(gate, command("later", at=NOW), "stop", now=NOW + 1.0) == "passed"
 
 
 def test_number_of_remembered_clients_is_bounded() -> None:

@@ -15,7 +15,8 @@ from closed_loop import ClosedLoop
 from pydantic import ValidationError
 
 from diagnosis.prediction.compare import Comparison, compare
-from service.control.api import ApiServer, ExitCode, Message, result
+from service.control.api import ExitCode, Message, result
+from service.control.server import ApiServer
 from service.observer.online_estimators import LOADED, online_estimators
 from service.virtual.passenger import Passenger
 from service.virtual.run import record

@@ -24,7 +24,8 @@ from models.library import get
 from models.model import Model
 from models.parts import ModelError
 from service.cli import app
-from service.control.api import ApiServer, ExitCode, Message, result
+from service.control.api import ExitCode, Message, result
+from service.control.server import ApiServer
 from service.offline.next_experiment import experiments_of, separating, suggest_for
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
