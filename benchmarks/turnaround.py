@@ -84,19 +84,25 @@ class Monitor:
             yield from ((frame.timestamp_ns, frame.can_id) for frame in frames)
 
 
-def evaluate(name: str, rate: float, triggers: Sequence[int], replies: Sequence[int]) -> Turnaround:
-    """Pair each trigger with the first reply before the next trigger. All times in ns."""
+def answered(triggers: Sequence[int], replies: Sequence[int]) -> tuple[np.ndarray, int]:
+    """Turnaround (n,) in s of each trigger with a reply before the next one, and the number of those without. All times
+    in ns."""
     trigger = np.asarray(triggers, dtype=np.int64)
     reply = np.asarray(replies, dtype=np.int64)
     first = np.searchsorted(reply, trigger[:-1], side="right")
-    answered = first < reply.size
-    answered[answered] = reply[first[answered]] < trigger[1:][answered]
-    times = (reply[first[answered]] - trigger[:-1][answered]) * 1e-9
+    there = first < reply.size
+    there[there] = reply[first[there]] < trigger[1:][there]
+    return (reply[first[there]] - trigger[:-1][there]) * 1e-9, int(np.count_nonzero(~there))
+
+
+def evaluate(name: str, rate: float, triggers: Sequence[int], replies: Sequence[int]) -> Turnaround:
+    """The turnaround of a responder. All times in ns."""
+    times, missed = answered(triggers, replies)
     if times.size == 0:
         raise ResponderError(f"{name} answered no frame set in time")
     p50, p99, p999 = np.quantile(times, (0.5, 0.99, 0.999))
-    missed = int(np.count_nonzero(~answered))
-    return Turnaround(name, rate, answered.size, missed, float(p50), float(p99), float(p999), float(times.max()))
+    cycles = times.size + missed
+    return Turnaround(name, rate, cycles, missed, float(p50), float(p99), float(p999), float(times.max()))
 
 
 @contextmanager

@@ -219,6 +219,7 @@ def serve(
     # The set-up reports a drive that does not answer once; canopen would report it twice a second.
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
+    from service.bounded_log import bounded_log
     from service.control.api import default_socket
     from service.control.daemon import Daemon, Places
     from service.virtual.passenger import passenger
@@ -256,6 +257,7 @@ def serve(
     disturbance = requested_disturbance(file, hide or []) if virtual else None
     print_disturbance(disturbance)
     with ExitStack() as beside:
+        beside.enter_context(bounded_log())
         if virtual:
             person = beside.enter_context(passenger([places.socket]))
             beside.enter_context(virtual_vehicle_beside(file, hide or [], seed, disturbance=disturbance, load=person))

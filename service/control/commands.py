@@ -141,11 +141,11 @@ class Commands:
             except ValidationError as error:
                 return result(ExitCode.USAGE, "bad_request", f"Not a design: {error.errors()[0]['msg']}.")
         adopted = adopted.model_copy(update={"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")})
-        if self._loop.mode is Mode.RUNNING:  # before the work: it would take time from the control loop
+        if self._is_running():  # asked before the work, which takes time from the control loop
             return result(ExitCode.REFUSED, "design", f"{self._loop.reason} is running; `upright stop` ends it.")
         file = adopted.of(self._vehicle)
         pilot = await asyncio.to_thread(self._loop.designed, file)
-        if self._loop.mode is not Mode.RUNNING:
+        if not self._is_running():
             following = self.adopted.with_next(adopted)
             following.write(self._data)  # first: what is not kept would not act any more after a restart
             self.adopted = following
@@ -156,9 +156,12 @@ class Commands:
         self._observer.event("info", "design", text)
         return result(ExitCode.DONE, text=text, design=self.adopted.to_json())
 
+    def _is_running(self) -> bool:
+        return self._loop.mode is Mode.RUNNING
+
     def _commissioning(self, request: Message) -> Message:
         if "entry" in request:
-            if self._loop.mode is Mode.RUNNING:  # the loop does not wait for a disk
+            if self._is_running():  # the loop does not wait for a disk
                 text = f"{self._loop.reason} is running: add the entry when it is over."
                 return result(ExitCode.REFUSED, "commissioning", text)
             try:

@@ -140,9 +140,7 @@ class ApiServer:
             except OSError:  # there is none, or no descriptor is left
                 return
             accepted.setblocking(False)
-            process, _, _ = _CREDENTIALS.unpack(
-                accepted.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-            )
+            process = process_of(accepted)
             if self._make_room(process):
                 self._connections[_Connection(self, accepted, f"terminal {next(self._numbers)}", process)] = None
             else:
@@ -343,6 +341,14 @@ class _Connection:
     def _drop(self) -> None:
         self._server.dropped += 1
         self.end()
+
+
+def process_of(connected: socket.socket) -> int:
+    """The id of the process that opened the connection; 0 if it is one of another container."""
+    process: int = _CREDENTIALS.unpack(connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))[
+        0
+    ]
+    return process
 
 
 def parse(line: bytes) -> Message:

@@ -1,0 +1,287 @@
+"""Turnaround while clients of the control socket misbehave, compared with that of the quiet times between, in one run.
+
+    tests/guest/vcan-guest .venv/bin/python benchmarks/clients.py
+
+A virtual MONOCAB balances (`hold`) on SocketCAN, in real time, and one terminal holds the lease. Quiet and hostile
+windows alternate, so that what the computer does otherwise is in both. The turnaround is the time from the last frame
+of an IMU set to the first setpoint, by time stamps of the kernel (see turnaround.py). At the end, a stop has to get
+through while all of them hammer. Exit code 1 if the experiment did not last until then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from turnaround import Monitor, answered, running
+from vehicle_at import at_rate
+
+from drivers.bus import BusError
+from service.control.api import ApiError, call
+
+UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in ("20", "10"))
+"""As systemd/upright.service.d/realtime.conf gives the daemon; the vehicle comes first, as a real one does not wait."""
+READER = 5
+"""Real-time priority of this process, which only reads, five times a second: it must not starve beside the clients."""
+TRIGGER, REPLY = 0x38A, 0x201
+READY_TIME = 60.0
+SETTLE_TIME = 0.5
+"""s from the start of the clients to the beginning of a window."""
+HAMMERS = 4
+"""Processes of each kind."""
+
+
+# --- The clients
+
+
+def hammer(path: str) -> None:
+    """Ask for the status again and again."""
+    while True:
+        with suppress(OSError), connected(path) as connection:
+            connection.sendall(b'{"verb": "status"}\n')
+            while connection.recv(65536):
+                pass
+
+
+def garbage(path: str) -> None:
+    """Send what is no request."""
+    while True:
+        with suppress(OSError), connected(path) as connection:
+            connection.sendall(os.urandom(200).replace(b"\n", b"") + b"\n" + b"[" * 4000 + b"\n")
+            connection.recv(65536)
+
+
+def never_reads(path: str) -> None:
+    """Ask, and read no answer; renew a lease that it does not have as fast as that goes."""
+    while True:
+        with suppress(OSError), connected(path) as connection:
+            connection.sendall(b'{"verb": "status"}\n')
+            while True:
+                connection.sendall(b'{"verb": "renew"}\n' * 200)
+
+
+def thousand(path: str) -> None:
+    """Hold as many connections open as possible, and open those anew that are closed."""
+    held: list[socket.socket] = []
+    while True:
+        connection = socket.socket(socket.AF_UNIX)
+        with suppress(OSError):
+            connection.connect(path)
+        held.append(connection)
+        if len(held) >= 1000 // HAMMERS:
+            held.pop(0).close()
+
+
+def half_open(path: str) -> None:
+    """Begin requests, and do not complete them."""
+    while True:
+        held = []
+        for _ in range(100):
+            connection = socket.socket(socket.AF_UNIX)
+            with suppress(OSError):
+                connection.connect(path)
+                connection.sendall(b'{"verb": "sta')
+            held.append(connection)
+        for connection in held:
+            connection.close()
+
+
+def huge_lines(path: str) -> None:
+    """Send lines without an end."""
+    while True:
+        with suppress(OSError), connected(path) as connection:
+            while True:
+                connection.sendall(b"x" * 65536)
+
+
+KINDS: dict[str, Callable[[str], None]] = {
+    "hammer": hammer,
+    "garbage": garbage,
+    "never reads": never_reads,
+    "thousand": thousand,
+    "half open": half_open,
+    "huge lines": huge_lines,
+}
+
+
+@contextmanager
+def connected(path: str) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(2.0)
+        connection.connect(path)
+        yield connection
+
+
+@contextmanager
+def hostile(kind: str, path: Path) -> Iterator[None]:
+    """Four processes of this kind of client, or one of each of `all`."""
+    kinds = list(KINDS) if kind == "all" else [kind] * HAMMERS
+    made = [
+        subprocess.Popen([sys.executable, __file__, "--be", each, str(path)], stderr=subprocess.DEVNULL)
+        for each in kinds
+    ]
+    try:
+        yield
+    finally:
+        for process in made:
+            process.kill()
+        for process in made:
+            process.wait()
+
+
+# --- The measurement
+
+
+@dataclass
+class Window:
+    """What was measured while clients of one kind were there, and in the quiet windows before each of theirs."""
+
+    kind: str
+    times: list[np.ndarray] = field(default_factory=list)
+    """Turnaround in s."""
+    missed: int = 0
+    quiet: list[np.ndarray] = field(default_factory=list)
+    quiet_missed: int = 0
+
+    def row(self) -> dict[str, Any]:
+        found: dict[str, Any] = {"kind": self.kind}
+        for name, windows, missed in (("with", self.times, self.missed), ("without", self.quiet, self.quiet_missed)):
+            times = np.concatenate(windows)
+            found[name] = {
+                "cycles": times.size + missed,
+                "missed": missed,
+                **{key: float(np.quantile(times, q)) for key, q in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))},
+            }
+        found["ratios"] = {key: found["with"][key] / found["without"][key] for key in ("p50", "p99", "p999")}
+        return found
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of the experiment meanwhile. Times in s."""
+
+    lasted: bool
+    stop_took: float
+    longest_silence: float
+    """Of the terminal that holds the lease, as the daemon heard it."""
+    text: str
+
+
+def ask(path: Path, verb: str, **arguments: Any) -> dict[str, Any]:
+    return list(call([path], {"verb": verb, **arguments}, timeout=60.0))[-1]
+
+
+def until(path: Path, what: Callable[[dict[str, Any]], bool]) -> None:
+    limit = time.monotonic() + READY_TIME
+    status: dict[str, Any] = {}
+    while time.monotonic() < limit:
+        with suppress(ApiError):
+            status = ask(path, "status")["status"]
+            if what(status):
+                return
+        time.sleep(0.3)
+    raise SystemExit(f"not ready: {status.get('reason')} {status.get('interlocks')}")
+
+
+def measure(
+    kinds: list[str], rounds: int, seconds: float, path: Path, monitor: Monitor
+) -> tuple[list[dict[str, Any]], Outcome]:
+    """Quiet and hostile windows in turn, while an experiment runs."""
+    found = {kind: Window(kind) for kind in kinds}
+    with running([*UPRIGHT, "experiment", "hold", "--socket", str(path), "--json"], path.with_name("hold.log")):
+        until(path, lambda status: status["phase"] == "excite")
+        for _ in range(rounds):
+            for kind, window in found.items():
+                monitor.read(SETTLE_TIME)
+                times, missed = answered(*monitor.read(seconds))
+                window.quiet.append(times)
+                window.quiet_missed += missed
+                with hostile(kind, path):
+                    monitor.read(SETTLE_TIME)
+                    times, missed = answered(*monitor.read(seconds))
+                window.times.append(times)
+                window.missed += missed
+        status = ask(path, "status")["status"]
+        lasted = status["phase"] == "excite"
+        with hostile("all", path):
+            time.sleep(SETTLE_TIME)
+            began = time.monotonic()
+            answer = ask(path, "stop")
+            took = time.monotonic() - began
+        silence = (status["lease"] or {}).get("longest_silence", float("nan"))
+        text = answer["text"] if lasted else status["reason"]
+    return [window.row() for window in found.values()], Outcome(lasted, took, silence, text)
+
+
+def vehicle_file(rate: float) -> str:
+    """The shipped vehicle at another rate, with a `hold` of an hour, for a client that shares the guest's processor."""
+    before, section = at_rate(rate).split("[experiments.hold]")
+    assert "duration = 20.0" in section.split("[experiments")[0]
+    text = f"{before}[experiments.hold]{section.replace('duration = 20.0', 'duration = 3600.0', 1)}"
+    return text.replace("heartbeat_timeout =", "lease = 2.0\nheartbeat_timeout =")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--interface", default="vcan0")
+    parser.add_argument("--rate", type=float, default=250.0, help="Hz")
+    parser.add_argument("--rounds", type=int, default=6)
+    parser.add_argument("--seconds", type=float, default=8.0, help="of each window")
+    parser.add_argument("--kind", action="append", choices=[*KINDS, "all"], help="may be repeated (each, and all)")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--be", nargs=2, metavar=("KIND", "SOCKET"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.be:
+        KINDS[options.be[0]](options.be[1])
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(READER))
+    with ExitStack() as stack:
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        try:
+            monitor = Monitor(options.interface, TRIGGER, REPLY)
+        except BusError as error:
+            print(f"{error}\nOr run this in tests/guest/vcan-guest.", file=sys.stderr)
+            return 1
+        stack.callback(monitor.close)
+        file, path = work / "monocab.toml", work / "s.sock"
+        file.write_text(vehicle_file(options.rate))
+        bus = ["--bus", f"socketcan:{options.interface}", "--socket", str(path)]
+        simulate = [*FIRST, *UPRIGHT, "simulate", str(file), *bus, "--hide", "disturbance=0"]
+        serve = [*SECOND, *UPRIGHT, "serve", str(file), *bus, "--data", str(work)]
+        stack.enter_context(running(simulate, work / "simulate.log"))
+        stack.enter_context(running(serve, work / "serve.log"))
+        until(path, lambda status: status["mode"] == "disarmed" and not status["interlocks"])
+        rows, outcome = measure(options.kind or [*KINDS, "all"], options.rounds, options.seconds, path, monitor)
+        clients = ask(path, "status")["status"].get("clients")
+    if options.json:
+        print(json.dumps({"rows": rows, "outcome": asdict(outcome), "clients": clients}))
+        return 0 if outcome.lasted else 1
+    print(f"{'us':12}{'p50':>14}{'p99':>16}{'p99.9':>16}{'missed':>20}   ratio p50   p99   p99.9")
+    for row in rows:
+        one, two = row["without"], row["with"]
+        times = "".join(f"{1e6 * one[key]:8.0f}{1e6 * two[key]:8.0f}" for key in ("p50", "p99", "p999"))
+        missed = f"{one['missed']}, {two['missed']} of {two['cycles']}"
+        ratios = "".join(f"{row['ratios'][key]:8.2f}" for key in ("p50", "p99", "p999"))
+        print(f"{row['kind']:10}{times}{missed:>22}  {ratios}")
+    print(f"\nThe experiment {'lasted' if outcome.lasted else 'DID NOT LAST'}; its end: {outcome.text}.")
+    print(
+        f"Longest silence of its terminal: {outcome.longest_silence:.2f} s. While all clients hammered, it took a stop"
+    )
+    print(f"{outcome.stop_took:.1f} s to bring the vehicle onto its support. Connections: {clients}")
+    return 0 if outcome.lasted else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
