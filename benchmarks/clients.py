@@ -37,7 +37,8 @@ FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in
 READER = 5
 """Real-time priority of this process, which only reads, five times a second: it must not starve beside the clients."""
 TRIGGER, REPLY = 0x38A, 0x201
-READY_TIME = 60.0
+READY_TIME = 300.0
+"""s for the daemon to start, set up the drives and lift the vehicle."""
 SETTLE_TIME = 0.5
 """s from the start of the clients to the beginning of a window."""
 HAMMERS = 4
@@ -193,7 +194,8 @@ def until(path: Path, what: Callable[[dict[str, Any]], bool]) -> None:
             if what(status):
                 return
         time.sleep(0.3)
-    raise SystemExit(f"not ready: {status.get('reason')} {status.get('interlocks')}")
+    log = path.with_name("serve.log").read_text(errors="replace")[-2000:]
+    raise SystemExit(f"not ready: {status.get('reason')} {status.get('interlocks')}\n{log}")
 
 
 def measure(
