@@ -2,7 +2,7 @@
 
     tests/guest/vcan-guest .venv/bin/python benchmarks/clients.py
 
-A virtual MONOCAB balances (`hold`) on SocketCAN, in real time, and one terminal holds the lease. Quiet and hostile
+A virtual MONOCAB runs an experiment on SocketCAN, in real time, and one terminal holds the lease. Quiet and hostile
 windows alternate, so that what the computer does otherwise is in both. The turnaround is the time from the last frame
 of an IMU set to the first setpoint, by time stamps of the kernel (see turnaround.py). At the end, a stop has to get
 through while all of them hammer. Exit code 1 if the experiment did not last until then.
@@ -41,6 +41,8 @@ READY_TIME = 300.0
 """s for the daemon to start, set up the drives and lift the vehicle."""
 SETTLE_TIME = 0.5
 """s from the start of the clients to the beginning of a window."""
+PHASES = {"rest": "rest", "hold": "excite"}
+"""Experiments, and the phase in which they stay."""
 HAMMERS = 4
 """Processes of each kind."""
 
@@ -199,12 +201,12 @@ def until(path: Path, what: Callable[[dict[str, Any]], bool]) -> None:
 
 
 def measure(
-    kinds: list[str], rounds: int, seconds: float, path: Path, monitor: Monitor
+    experiment: str, kinds: list[str], rounds: int, seconds: float, path: Path, monitor: Monitor
 ) -> tuple[list[dict[str, Any]], Outcome]:
     """Quiet and hostile windows in turn, while an experiment runs."""
     found = {kind: Window(kind) for kind in kinds}
-    with running([*UPRIGHT, "experiment", "hold", "--socket", str(path), "--json"], path.with_name("hold.log")):
-        until(path, lambda status: status["phase"] == "excite")
+    with running([*UPRIGHT, "experiment", experiment, "--socket", str(path)], path.with_name("experiment.log")):
+        until(path, lambda status: status["phase"] == PHASES[experiment])
         for _ in range(rounds):
             for kind, window in found.items():
                 monitor.read(SETTLE_TIME)
@@ -217,7 +219,7 @@ def measure(
                 window.times.append(times)
                 window.missed += missed
         status = ask(path, "status")["status"]
-        lasted = status["phase"] == "excite"
+        lasted = status["phase"] == PHASES[experiment]
         with hostile("all", path):
             time.sleep(SETTLE_TIME)
             began = time.monotonic()
@@ -228,17 +230,19 @@ def measure(
     return [window.row() for window in found.values()], Outcome(lasted, took, silence, text)
 
 
-def vehicle_file(rate: float) -> str:
-    """The shipped vehicle at another rate, with a `hold` of an hour, for a client that shares the guest's processor."""
-    before, section = at_rate(rate).split("[experiments.hold]")
+def vehicle_file(rate: float, experiment: str) -> str:
+    """The shipped vehicle at another rate, with an experiment of an hour, for a client that shares the guest's
+    processor."""
+    before, section = at_rate(rate).split(f"[experiments.{experiment}]")
     assert "duration = 20.0" in section.split("[experiments")[0]
-    text = f"{before}[experiments.hold]{section.replace('duration = 20.0', 'duration = 3600.0', 1)}"
+    text = f"{before}[experiments.{experiment}]{section.replace('duration = 20.0', 'duration = 3600.0', 1)}"
     return text.replace("heartbeat_timeout =", "lease = 2.0\nheartbeat_timeout =")
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--interface", default="vcan0")
+    parser.add_argument("--experiment", choices=PHASES, default="rest", help="hold, on a computer that keeps real time")
     parser.add_argument("--rate", type=float, default=250.0, help="Hz")
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--seconds", type=float, default=8.0, help="of each window")
@@ -258,14 +262,16 @@ def main() -> int:
             return 1
         stack.callback(monitor.close)
         file, path = work / "monocab.toml", work / "s.sock"
-        file.write_text(vehicle_file(options.rate))
+        file.write_text(vehicle_file(options.rate, options.experiment))
         bus = ["--bus", f"socketcan:{options.interface}", "--socket", str(path)]
         simulate = [*FIRST, *UPRIGHT, "simulate", str(file), *bus, "--hide", "disturbance=0"]
         serve = [*SECOND, *UPRIGHT, "serve", str(file), *bus, "--data", str(work)]
         stack.enter_context(running(simulate, work / "simulate.log"))
         stack.enter_context(running(serve, work / "serve.log"))
         until(path, lambda status: status["mode"] == "disarmed" and not status["interlocks"])
-        rows, outcome = measure(options.kind or [*KINDS, "all"], options.rounds, options.seconds, path, monitor)
+        rows, outcome = measure(
+            options.experiment, options.kind or [*KINDS, "all"], options.rounds, options.seconds, path, monitor
+        )
         clients = ask(path, "status")["status"].get("clients")
     if options.json:
         print(json.dumps({"rows": rows, "outcome": asdict(outcome), "clients": clients}))

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from clients import FIRST, READER, REPLY, SECOND, TRIGGER, UPRIGHT, ask, until
+from scipy.stats import t as student
 from turnaround import answered, running
 
 from drivers.bus import Bus, BusError
@@ -36,8 +37,12 @@ EXPERIMENTS = ("doublet", "step", "multisine", "hold", "square")
 HEARTBEAT = 0x700
 WARM_UP = 1.0 / 3.0
 """Share of the runs at the beginning whose growth counts for nothing: each process meets everything once."""
-CONFIDENCE = 3.0
-"""Standard deviations of a slope within which it is noise."""
+CHANCE = 1e-4
+"""Probability that noise alone makes a slope that counts."""
+ARENA = 1.05
+"""MB: Python takes memory from the system in arenas of 1 MiB. Less than one in the whole run is no growth."""
+LEAST = 6
+"""Experiments, whatever the time: fewer have no slope."""
 READ_PERIOD = 0.2
 
 
@@ -61,32 +66,37 @@ class Run:
 
 @dataclass(frozen=True)
 class Trend:
-    """The slope of a quantity over the runs after the warm-up, per hour, and its standard deviation."""
+    """The slope of a quantity over the runs after the warm-up, per hour, and its standard deviation. These runs take
+    `hours`, and count as `freedom` and two independent ones."""
 
     quantity: str
     mean: float
     slope: float
     deviation: float
+    hours: float
+    freedom: float
+    resolution: float
 
     @property
     def grows(self) -> bool:
-        return self.slope > CONFIDENCE * self.deviation
+        """Whether the slope is neither chance (Student's t) nor below the resolution of the quantity."""
+        chance = float(student.isf(CHANCE, self.freedom)) * self.deviation
+        return self.slope > chance and self.slope * self.hours > self.resolution
 
 
-def trend(quantity: str, at: Sequence[float], values: Sequence[float]) -> Trend:
-    """The least-squares line of `values` at times `at`, s. Values that follow each other closely count as fewer."""
+def trend(quantity: str, at: Sequence[float], values: Sequence[float], resolution: float = 0.0) -> Trend:
+    """The least-squares line of `values` at times `at`, s. Values that depend on those before count as fewer (Santer et
+    al., J. Geophys. Res. 105, 2000)."""
     skip = round(WARM_UP * len(at))
     time, value = np.asarray(at[skip:]) / 3600.0, np.asarray(values[skip:], dtype=float)
-    if time.size < 4:
-        raise SystemExit("too few experiments for a slope: give more --minutes")
     offset = time - time.mean()
     slope = float(offset @ value / (offset @ offset))
     rest = value - value.mean() - slope * offset
     spread = float(rest @ rest)
-    correlation = float(rest[1:] @ rest[:-1]) / spread if spread > 0.0 else 0.0
-    fewer = max(correlation, 0.0)
-    variance = spread / (time.size - 2) / float(offset @ offset) * (1.0 + fewer) / (1.0 - min(fewer, 0.9))
-    return Trend(quantity, float(value.mean()), slope, variance**0.5)
+    correlation = max(float(rest[1:] @ rest[:-1]) / spread, 0.0) if spread > 0.0 else 0.0
+    freedom = max(time.size * (1.0 - correlation) / (1.0 + correlation) - 2.0, 1.0)
+    deviation = (spread / freedom / float(offset @ offset)) ** 0.5
+    return Trend(quantity, float(value.mean()), slope, deviation, float(np.ptp(time)), freedom, resolution)
 
 
 class Witness:
@@ -180,7 +190,7 @@ class Soak:
     def trends(self) -> list[Trend]:
         """Of each quantity that must not grow."""
         at = [run.at for run in self.runs]
-        found = [trend(f"{each}, MB", at, [run.memory[each] for run in self.runs]) for each in self._processes]
+        found = [trend(f"{each}, MB", at, [run.memory[each] for run in self.runs], ARENA) for each in self._processes]
         found += [trend(f"{each}, files", at, [run.descriptors[each] for run in self.runs]) for each in self._processes]
         found.append(trend("turnaround p50, us", at, [1e6 * run.p50 for run in self.runs]))
         found.append(trend("turnaround p99, us", at, [1e6 * run.p99 for run in self.runs]))
@@ -273,7 +283,7 @@ def main() -> int:
                   f"{f'{run.missed} of {run.cycles}':>14}{1e3 * run.longest_heartbeat:14.0f}", flush=True)  # fmt: skip
             for recording in work.glob(f"*_{name}.*"):  # else the soak fills the disk
                 recording.unlink()
-            if run.at > 60.0 * options.minutes:
+            if run.at > 60.0 * options.minutes and len(soak.runs) >= LEAST:
                 break
         trends = soak.trends()
         wrong = report(soak, trends, control.heartbeat_timeout)
