@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -25,12 +24,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hostile_client import KINDS
 from turnaround import Monitor, answered, running
 from vehicle_at import at_rate
 
 from drivers.bus import BusError
 from service.control.api import ApiError, call
 
+HERE = Path(__file__).resolve().parent
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in ("20", "10"))
 """As systemd/upright.service.d/realtime.conf gives the daemon; the vehicle comes first, as a real one does not wait."""
@@ -47,102 +48,22 @@ HAMMERS = 4
 """Processes of each kind."""
 
 
-# --- The clients
-
-
-def hammer(path: str) -> None:
-    """Ask for the status again and again."""
-    while True:
-        with suppress(OSError), connected(path) as connection:
-            connection.sendall(b'{"verb": "status"}\n')
-            while connection.recv(65536):
-                pass
-
-
-def garbage(path: str) -> None:
-    """Send what is no request."""
-    while True:
-        with suppress(OSError), connected(path) as connection:
-            connection.sendall(os.urandom(200).replace(b"\n", b"") + b"\n" + b"[" * 4000 + b"\n")
-            connection.recv(65536)
-
-
-def never_reads(path: str) -> None:
-    """Ask, and read no answer; renew a lease that it does not have as fast as that goes."""
-    while True:
-        with suppress(OSError), connected(path) as connection:
-            connection.sendall(b'{"verb": "status"}\n')
-            while True:
-                connection.sendall(b'{"verb": "renew"}\n' * 200)
-
-
-def thousand(path: str) -> None:
-    """Hold as many connections open as possible, and open those anew that are closed."""
-    held: list[socket.socket] = []
-    while True:
-        connection = socket.socket(socket.AF_UNIX)
-        with suppress(OSError):
-            connection.connect(path)
-        held.append(connection)
-        if len(held) >= 1000 // HAMMERS:
-            held.pop(0).close()
-
-
-def half_open(path: str) -> None:
-    """Begin requests, and do not complete them."""
-    while True:
-        held = []
-        for _ in range(100):
-            connection = socket.socket(socket.AF_UNIX)
-            with suppress(OSError):
-                connection.connect(path)
-                connection.sendall(b'{"verb": "sta')
-            held.append(connection)
-        for connection in held:
-            connection.close()
-
-
-def huge_lines(path: str) -> None:
-    """Send lines without an end."""
-    while True:
-        with suppress(OSError), connected(path) as connection:
-            while True:
-                connection.sendall(b"x" * 65536)
-
-
-KINDS: dict[str, Callable[[str], None]] = {
-    "hammer": hammer,
-    "garbage": garbage,
-    "never reads": never_reads,
-    "thousand": thousand,
-    "half open": half_open,
-    "huge lines": huge_lines,
-}
-
-
-@contextmanager
-def connected(path: str) -> Iterator[socket.socket]:
-    with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(2.0)
-        connection.connect(path)
-        yield connection
-
-
 @contextmanager
 def hostile(kind: str, path: Path) -> Iterator[None]:
     """Four processes of this kind of client, or one of each of `all`."""
     kinds = list(KINDS) if kind == "all" else [kind] * HAMMERS
-    made = [
-        subprocess.Popen([sys.executable, __file__, "--be", each, str(path)], stderr=subprocess.DEVNULL)
-        for each in kinds
-    ]
+    command = [sys.executable, "-I", "-S", str(HERE / "hostile_client.py")]
+    made = [subprocess.Popen([*command, each, str(path)], stdout=subprocess.PIPE) for each in kinds]
     try:
+        for process in made:
+            assert process.stdout is not None
+            process.stdout.readline()  # it has begun
         yield
     finally:
         for process in made:
             process.kill()
         for process in made:
-            process.wait()
+            process.communicate()
 
 
 # --- The measurement
@@ -248,10 +169,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=8.0, help="of each window")
     parser.add_argument("--kind", action="append", choices=[*KINDS, "all"], help="may be repeated (each, and all)")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--be", nargs=2, metavar=("KIND", "SOCKET"), help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.be:
-        KINDS[options.be[0]](options.be[1])
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(READER))
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
