@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults benchmark clean
+.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults benchmark soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -59,7 +59,7 @@ vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in 
 faults: $(READY) ## every fault in every part of a run, for every vehicle, as one table; ARGS="--phase rise --markdown"
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m faults.table $(ARGS)
 
-benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes
+benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes and hostile clients
 	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc mosquitto:mosquitto chromium:chromium
 	$(BIN)/python benchmarks/broad.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/fitting.py
@@ -68,6 +68,11 @@ benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, dia
 	$(GUEST) $(BIN)/python benchmarks/turnaround.py --rate 500 --seconds 60 \
 	  --source "$(BIN)/python benchmarks/vehicle_at.py {rate} simulate" \
 	  --responder upright "$(BIN)/python benchmarks/vehicle_at.py 500 serve"
+	$(GUEST) $(BIN)/python benchmarks/clients.py
+
+soak: $(READY) ## an hour of experiments in turn on SocketCAN: nothing may grow; ARGS="--minutes 5"
+	@tests/setup/apt-needs $(GUEST_NEEDS)
+	$(GUEST) $(BIN)/python benchmarks/soak.py $(ARGS)
 
 clean: ## remove the environment and everything that was made
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build .guest.*

@@ -1,16 +1,21 @@
 """Turnaround while clients of the control socket misbehave, compared with that of the quiet times between, in one run.
 
     tests/guest/vcan-guest .venv/bin/python benchmarks/clients.py
+    .venv/bin/python benchmarks/clients.py --work
 
 A virtual MONOCAB runs an experiment on SocketCAN, in real time, and one terminal holds the lease. Quiet and hostile
 windows alternate, so that what the computer does otherwise is in both. The turnaround is the time from the last frame
 of an IMU set to the first setpoint, by time stamps of the kernel (see turnaround.py). At the end, a stop has to get
 through while all of them hammer. Exit code 1 if the experiment did not last until then.
+
+With --work the CPU time is measured that the control process spends from one cycle to the next on everything but the
+cycle, whatever else the computer does. The vehicle is in the same process then, and waits for it.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import os
 import subprocess
@@ -30,6 +35,11 @@ from vehicle_at import at_rate
 
 from drivers.bus import BusError
 from service.control.api import ApiError, call
+from service.control.daemon import Daemon, Places
+from service.control.loop import Mode
+from service.virtual.serving import virtual_vehicle_beside
+from telemetry.samples import CanFrame
+from vehicles.file import load
 
 HERE = Path(__file__).resolve().parent
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
@@ -128,6 +138,7 @@ def measure(
     found = {kind: Window(kind) for kind in kinds}
     with running([*UPRIGHT, "experiment", experiment, "--socket", str(path)], path.with_name("experiment.log")):
         until(path, lambda status: status["phase"] == PHASES[experiment])
+        monitor.discard()
         for _ in range(rounds):
             for kind, window in found.items():
                 monitor.read(SETTLE_TIME)
@@ -151,6 +162,61 @@ def measure(
     return [window.row() for window in found.values()], Outcome(lasted, took, silence, text)
 
 
+async def between_cycles(kinds: list[str], rounds: int, seconds: float, folder: Path) -> dict[str, np.ndarray]:
+    """CPU time (n,) in s of the event loop's thread from one cycle to the next, without the cycle, by kind of client.
+    Quiet and hostile windows alternate."""
+    vehicle, bus = load("monocab"), "virtual:benchmark-clients"
+    found: dict[str, list[float]] = {kind: [] for kind in ("none", *kinds, "")}
+    now, spent, mark, cycle = "", 0.0, time.thread_time(), False
+    with virtual_vehicle_beside(vehicle, ["disturbance=0"], 1, bus):
+        daemon = Daemon(vehicle, Places(bus, bus, folder, folder / "s.sock"), lock_step=True)
+        take, on_frames = daemon._turns.take, daemon._on_frames
+
+        def turn() -> None:
+            nonlocal mark
+            if cycle:  # else it is a turn by the timer, which counts as a whole
+                mark = time.thread_time()
+            take()
+
+        def counted(frames: list[CanFrame]) -> None:
+            nonlocal spent, mark, cycle
+            spent += time.thread_time() - mark
+            cycles, cycle = daemon.loop.cycles, True
+            on_frames(frames)
+            cycle = False
+            if daemon.loop.cycles == cycles:
+                mark = time.thread_time()
+            else:
+                found[now].append(spent)
+                spent = 0.0
+
+        daemon._turns.take, daemon._on_frames = turn, counted  # type: ignore[method-assign]
+        serving = asyncio.create_task(daemon.run())
+        while daemon.loop.mode is not Mode.DISARMED or daemon.loop.interlocks():
+            await asyncio.sleep(0.1)
+        for _ in range(rounds):
+            for kind in kinds:
+                now = "none"
+                await asyncio.sleep(seconds)
+                now = ""
+                with ExitStack() as clients:
+                    await asyncio.to_thread(clients.enter_context, hostile(kind, folder / "s.sock"))
+                    await asyncio.sleep(SETTLE_TIME)
+                    now = kind
+                    await asyncio.sleep(seconds)
+                    now = ""
+        daemon.stop()
+        await serving
+    return {kind: np.array(times) for kind, times in found.items() if kind}
+
+
+def print_work(found: dict[str, np.ndarray]) -> None:
+    print(f"{'us of CPU a cycle':20}{'cycles':>8}{'p50':>8}{'p99':>8}{'p99.9':>8}{'longest':>9}")
+    for kind, times in found.items():
+        quantiles = "".join(f"{1e6 * np.quantile(times, q):8.0f}" for q in (0.5, 0.99, 0.999))
+        print(f"{kind:20}{times.size:8}{quantiles}{1e6 * times.max():9.0f}")
+
+
 def vehicle_file(rate: float, experiment: str) -> str:
     """The shipped vehicle at another rate, with an experiment of an hour, for a client that shares the guest's
     processor."""
@@ -162,34 +228,38 @@ def vehicle_file(rate: float, experiment: str) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--interface", default="vcan0")
+    parser.add_argument("--bus", default="socketcan:vcan0", help="IFACE:CHANNEL")
     parser.add_argument("--experiment", choices=PHASES, default="rest", help="hold, on a computer that keeps real time")
     parser.add_argument("--rate", type=float, default=250.0, help="Hz")
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--seconds", type=float, default=8.0, help="of each window")
     parser.add_argument("--kind", action="append", choices=[*KINDS, "all"], help="may be repeated (each, and all)")
+    parser.add_argument("--work", action="store_true", help="CPU time between two cycles, without a bus")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    kinds = options.kind or [*KINDS, "all"]
+    if options.work:
+        with tempfile.TemporaryDirectory() as folder:
+            print_work(asyncio.run(between_cycles(kinds, options.rounds, options.seconds, Path(folder))))
+        return 0
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(READER))
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         try:
-            monitor = Monitor(options.interface, TRIGGER, REPLY)
+            monitor = Monitor(options.bus, TRIGGER, REPLY)
         except BusError as error:
             print(f"{error}\nOr run this in tests/guest/vcan-guest.", file=sys.stderr)
             return 1
         stack.callback(monitor.close)
         file, path = work / "monocab.toml", work / "s.sock"
         file.write_text(vehicle_file(options.rate, options.experiment))
-        bus = ["--bus", f"socketcan:{options.interface}", "--socket", str(path)]
+        bus = ["--bus", options.bus, "--socket", str(path)]
         simulate = [*FIRST, *UPRIGHT, "simulate", str(file), *bus, "--hide", "disturbance=0"]
         serve = [*SECOND, *UPRIGHT, "serve", str(file), *bus, "--data", str(work)]
         stack.enter_context(running(simulate, work / "simulate.log"))
         stack.enter_context(running(serve, work / "serve.log"))
         until(path, lambda status: status["mode"] == "disarmed" and not status["interlocks"])
-        rows, outcome = measure(
-            options.experiment, options.kind or [*KINDS, "all"], options.rounds, options.seconds, path, monitor
-        )
+        rows, outcome = measure(options.experiment, kinds, options.rounds, options.seconds, path, monitor)
         clients = ask(path, "status")["status"].get("clients")
     if options.json:
         print(json.dumps({"rows": rows, "outcome": asdict(outcome), "clients": clients}))

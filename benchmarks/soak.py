@@ -1,12 +1,14 @@
 """Soak: experiments one after the other on the virtual vehicle in real time, for an hour; printed as one table.
 
     tests/guest/vcan-guest .venv/bin/python benchmarks/soak.py --minutes 60
+    .venv/bin/python benchmarks/soak.py --minutes 60 --virtual
 
 Daemon, observer, raw log and virtual vehicle run on SocketCAN as they do in service. After each experiment, at rest,
 the memory of each process is read (RssAnon: what it has allocated itself). The turnaround of the control loop and the
 heartbeats are taken from the kernel's time stamps at a third socket. Nothing may grow: of each column, the slope of a
 straight line over the run is compared with its own uncertainty. Exit code 1 if something grows, a heartbeat is missed
-or an experiment fails.
+or an experiment fails. With --virtual the vehicle is in the daemon's process and waits for it, so that this runs beside
+other work: it shows memory and descriptors only.
 """
 
 from __future__ import annotations
@@ -28,9 +30,9 @@ from typing import Any
 import numpy as np
 from clients import FIRST, READER, REPLY, SECOND, TRIGGER, UPRIGHT, ask, until
 from scipy.stats import t as student
-from turnaround import answered, running
+from turnaround import answered, listening, running
 
-from drivers.bus import Bus, BusError
+from drivers.bus import BusError
 from vehicles.file import load
 
 EXPERIMENTS = ("doublet", "step", "multisine", "hold", "square")
@@ -102,10 +104,15 @@ def trend(quantity: str, at: Sequence[float], values: Sequence[float], resolutio
 class Witness:
     """A third socket on the bus: IMU sets, setpoints and heartbeats with the kernel's time stamps."""
 
-    def __init__(self, interface: str, master: int) -> None:
+    def __init__(self, bus: str, master: int) -> None:
         self._heartbeat = HEARTBEAT + master
-        self._bus = Bus.open(f"socketcan:{interface}", can_ids=[TRIGGER, REPLY, self._heartbeat])
+        self._bus = listening(bus, [TRIGGER, REPLY, self._heartbeat])
         self.stamps: dict[int, list[int]] = {TRIGGER: [], REPLY: [], self._heartbeat: []}
+
+    def discard(self) -> None:
+        """Forget what came until now, and what was lost of it."""
+        while self._bus.drain():
+            pass
 
     def read(self) -> None:
         dropped = self._bus.statistics.receive_dropped
@@ -115,24 +122,23 @@ class Witness:
         if self._bus.statistics.receive_dropped > dropped:
             raise SystemExit("the witness itself was too slow: the kernel dropped frames for it")
 
-    def take(self) -> tuple[np.ndarray, int, float]:
-        """Turnaround (n,) in s, sets without an answer, and the longest time between two heartbeats, since the last
-        call."""
+    def take(self) -> tuple[np.ndarray, float]:
+        """Turnaround (n,) in s, and the longest time between two heartbeats, since the last call."""
         self.read()
-        times, missed = answered(self.stamps[TRIGGER], self.stamps[REPLY])
+        times, _ = answered(self.stamps[TRIGGER], self.stamps[REPLY])
         beats = self.stamps[self._heartbeat]
         longest = float(np.diff(beats).max()) * 1e-9 if len(beats) > 1 else float("nan")
         for each in self.stamps.values():
             del each[:-1]
-        return times, missed, longest
+        return times, longest
 
     def close(self) -> None:
         self._bus.close()
 
 
-def processes(daemon: int, vehicle: int) -> dict[str, int]:
-    """Process ids by name: the daemon and what it has started, and the virtual vehicle."""
-    found = {"control": daemon, "vehicle": vehicle}
+def processes(daemon: int, vehicle: int | None) -> dict[str, int]:
+    """Process ids by name: the daemon and what it has started, and the virtual vehicle if it has its own."""
+    found = {"control": daemon} if vehicle is None else {"control": daemon, "vehicle": vehicle}
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has just ended
             parent = int(folder.joinpath("stat").read_text().rpartition(")")[2].split()[1])
@@ -151,22 +157,27 @@ def memory(process: int) -> float:
 class Soak:
     """Runs experiments in turn on a daemon and a vehicle that are ready, and keeps what was measured."""
 
-    def __init__(self, path: Path, witness: Witness, daemon: int, vehicle: int) -> None:
+    def __init__(self, path: Path, witness: Witness | None, daemon: int, vehicle: int | None) -> None:
         self.runs: list[Run] = []
         self._path = path
         self._witness = witness
         self._processes = processes(daemon, vehicle)
         self._began = time.monotonic()
         self._missed = self._status()["missed_cycles"]
-        witness.take()
+        if witness is not None:
+            witness.discard()
 
     def run(self, name: str) -> Run:
         """One experiment, from rest to rest."""
+        cycles = self._status()["cycles"]
         with ThreadPoolExecutor(1) as pool:
             answer = self._wait(pool.submit(ask, self._path, "experiment", name=name))
-        while self._status()["interlocks"]:
+        while (status := self._status())["interlocks"]:
+            if status["mode"] == "fault":
+                ask(self._path, "reset")
             self._pause()
-        times, unanswered, heartbeat = self._witness.take()
+        nothing = (np.array([np.nan]), np.nan)
+        times, heartbeat = self._witness.take() if self._witness is not None else nothing
         status = self._status()
         missed, self._missed = status["missed_cycles"] - self._missed, status["missed_cycles"]
         ids = self._processes
@@ -179,7 +190,7 @@ class Soak:
             descriptors={each: len(os.listdir(f"/proc/{ids[each]}/fd")) for each in ids},
             p50=float(np.quantile(times, 0.5)),
             p99=float(np.quantile(times, 0.99)),
-            cycles=times.size + unanswered,
+            cycles=status["cycles"] - cycles,
             missed=missed,
             longest_heartbeat=heartbeat,
             frames_dropped=status["observer"]["frames_dropped"] + status["observer"]["can_frames_dropped"],
@@ -192,6 +203,8 @@ class Soak:
         at = [run.at for run in self.runs]
         found = [trend(f"{each}, MB", at, [run.memory[each] for run in self.runs], ARENA) for each in self._processes]
         found += [trend(f"{each}, files", at, [run.descriptors[each] for run in self.runs]) for each in self._processes]
+        if self._witness is None:
+            return found
         found.append(trend("turnaround p50, us", at, [1e6 * run.p50 for run in self.runs]))
         found.append(trend("turnaround p99, us", at, [1e6 * run.p99 for run in self.runs]))
         found.append(trend("missed cycles, %", at, [100.0 * run.missed / run.cycles for run in self.runs]))
@@ -204,7 +217,8 @@ class Soak:
 
     def _pause(self) -> None:
         time.sleep(READ_PERIOD)
-        self._witness.read()
+        if self._witness is not None:
+            self._witness.read()
 
     def _status(self) -> dict[str, Any]:
         status: dict[str, Any] = ask(self._path, "status")["status"]
@@ -239,51 +253,67 @@ def report(soak: Soak, trends: list[Trend], timeout: float) -> list[str]:
     cycles, missed = sum(run.cycles for run in soak.runs), sum(run.missed for run in soak.runs)
     dropped = soak.runs[-1].frames_dropped
     print(f"\n{len(soak.runs)} experiments in {soak.runs[-1].at / 60.0:.1f} min, {cycles} cycles, {missed} missed.")
-    print(f"Longest time between two heartbeats: {1e3 * beats:.0f} ms; the drives wait for {1e3 * timeout:.0f} ms.")
+    if np.isfinite(beats):
+        print(f"Longest time between two heartbeats: {1e3 * beats:.0f} ms; the drives wait for {1e3 * timeout:.0f} ms.")
     wrong = [f"{each.quantity} grows" for each in trends if each.grows]
     wrong += [f"{run.name} ended with {run.code}" for run in soak.runs if run.exit_code != 0]
-    wrong += [f"a heartbeat was missed: {beats:.3f} s"] if not beats < timeout else []
+    wrong += [f"a heartbeat was missed: {beats:.3f} s"] if beats >= timeout else []
     wrong += [f"{dropped} frames for the observer were dropped"] if dropped else []
     return wrong
 
 
+def begun(stack: ExitStack, options: argparse.Namespace, file: Path, path: Path) -> Soak:
+    """The soak of a daemon and a vehicle that are ready, until the end of `stack`. Raises BusError."""
+    place = ["--data", str(path.parent), "--socket", str(path)]
+    witness, vehicle = None, None
+    if options.virtual:
+        serve = [*UPRIGHT, "serve", str(file), "--virtual", *place]
+    else:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(READER))
+        witness = Witness(options.bus, load(str(file)).control.master_node)
+        stack.callback(witness.close)
+        simulate = [*FIRST, *UPRIGHT, "simulate", str(file), "--bus", options.bus, "--socket", str(path)]
+        serve = [*SECOND, *UPRIGHT, "serve", str(file), "--bus", options.bus, *place]
+        vehicle = stack.enter_context(running(simulate, path.with_name("simulate.log"))).pid
+    daemon = stack.enter_context(running(serve, path.with_name("serve.log")))
+    until(path, lambda status: status["mode"] == "disarmed" and not status["interlocks"])
+    return Soak(path, witness, daemon.pid, vehicle)
+
+
+def show(run: Run) -> None:
+    """One line of the table."""
+    used = ", ".join(f"{name} {size:.1f}" for name, size in run.memory.items())
+    times = f"{1e6 * run.p50:.0f}, {1e6 * run.p99:.0f}"
+    missed = f"{run.missed} of {run.cycles}"
+    beat = f"{1e3 * run.longest_heartbeat:.0f}"
+    what = f"{run.at / 60.0:5.1f}  {run.name:11}{run.code or 'done':9}"
+    print(f"{what}{times:>14}{missed:>14}{beat:>14}   {used}", flush=True)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--interface", default="vcan0")
+    parser.add_argument("--bus", default="socketcan:vcan0", help="IFACE:CHANNEL")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--duration", type=float, default=30.0, help="s of each experiment at most")
+    parser.add_argument("--virtual", action="store_true", help="the vehicle in the daemon's process, in lock-step")
     parser.add_argument("--json", type=Path, help="write what was measured to this file")
     options = parser.parse_args()
-    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(READER))
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         file, path = work / "monocab.toml", work / "s.sock"
         file.write_text(vehicle_file(options.duration))
         control = load(str(file)).control
         try:
-            witness = Witness(options.interface, control.master_node)
+            soak = begun(stack, options, file, path)
         except BusError as error:
-            print(f"{error}\nOr run this in tests/guest/vcan-guest.", file=sys.stderr)
+            print(f"{error}\nOr run this in tests/guest/vcan-guest, or with --virtual.", file=sys.stderr)
             return 1
-        stack.callback(witness.close)
-        bus = ["--bus", f"socketcan:{options.interface}", "--socket", str(path)]
-        simulate = [*FIRST, *UPRIGHT, "simulate", str(file), *bus]
-        serve = [*SECOND, *UPRIGHT, "serve", str(file), *bus, "--data", str(work)]
-        vehicle = stack.enter_context(running(simulate, work / "simulate.log"))
-        daemon = stack.enter_context(running(serve, work / "serve.log"))
-        until(path, lambda status: status["mode"] == "disarmed" and not status["interlocks"])
-        soak = Soak(path, witness, daemon.pid, vehicle.pid)
-        print(f"{'min':>5} {'experiment':11}{'end':9}{'MB: control':>13}{'observer':>10}{'raw log':>9}{'vehicle':>9}"
-              f"{'us: p50':>10}{'p99':>8}{'missed':>14}{'heartbeat ms':>14}")  # fmt: skip
+        print(f"{'min':>5}  {'experiment':11}{'end':9}{'p50, p99 us':>14}{'missed':>14}{'heartbeat ms':>14}   MB")
         for name in cycle(EXPERIMENTS):
-            run = soak.run(name)
-            used = "".join(f"{run.memory[each]:{width}.2f}" for each, width in
-                           (("control", 13), ("observer", 10), ("raw log", 9), ("vehicle", 9)))  # fmt: skip
-            print(f"{run.at / 60.0:5.1f} {name:11}{run.code or 'done':9}{used}{1e6 * run.p50:10.0f}{1e6 * run.p99:8.0f}"
-                  f"{f'{run.missed} of {run.cycles}':>14}{1e3 * run.longest_heartbeat:14.0f}", flush=True)  # fmt: skip
+            show(soak.run(name))
             for recording in work.glob(f"*_{name}.*"):  # else the soak fills the disk
                 recording.unlink()
-            if run.at > 60.0 * options.minutes and len(soak.runs) >= LEAST:
+            if soak.runs[-1].at > 60.0 * options.minutes and len(soak.runs) >= LEAST:
                 break
         trends = soak.trends()
         wrong = report(soak, trends, control.heartbeat_timeout)

@@ -11,6 +11,7 @@ disturb the responders. A set whose answer comes after the next set, or never, i
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import os
 import shlex
@@ -55,11 +56,19 @@ class ResponderError(Exception):
     """A responder did not answer or has terminated."""
 
 
-class Monitor:
-    """Kernel receive times (ns) of trigger and reply frames on `channel`."""
+def listening(address: str, can_ids: Sequence[int]) -> Bus:
+    """A bus to be drained from time to time, without an event loop. Raises BusError."""
+    bus = Bus.open(address, can_ids=can_ids)
+    if not address.startswith("socketcan:"):  # a thread of it reads, and would wake the loop
+        bus._port.start(asyncio.new_event_loop(), lambda: None)
+    return bus
 
-    def __init__(self, channel: str, trigger: int, reply: int) -> None:
-        self._bus = Bus.open(f"socketcan:{channel}", can_ids=[trigger, reply])
+
+class Monitor:
+    """Kernel receive times (ns) of trigger and reply frames on the bus at `address`."""
+
+    def __init__(self, address: str, trigger: int, reply: int) -> None:
+        self._bus = listening(address, [trigger, reply])
         self._trigger, self._reply = trigger, reply
 
     def read(self, seconds: float) -> tuple[list[int], list[int]]:
@@ -75,6 +84,11 @@ class Monitor:
         if self._bus.statistics.receive_dropped > dropped:
             raise ResponderError("the monitor itself was too slow: the kernel dropped frames for it")
         return triggers, replies
+
+    def discard(self) -> None:
+        """Forget what came until now, and what was lost of it."""
+        for _ in self._drain():
+            pass
 
     def close(self) -> None:
         self._bus.close()
@@ -172,7 +186,7 @@ def main() -> int:
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         try:
-            monitor = Monitor(options.interface, options.trigger, options.reply)
+            monitor = Monitor(f"socketcan:{options.interface}", options.trigger, options.reply)
         except BusError as error:
             print(f"{error}\nOr run this in tests/guest/vcan-guest.", file=sys.stderr)
             return 1
