@@ -66,11 +66,12 @@ class BoundedHandler(QueueHandler):
         super().close()
 
     def _write(self) -> None:
-        reported = 0
-        while not (self._closed.is_set() and self._records.empty()):
+        reported, last = 0, False
+        while not last:
             record = self._records.get()
             if record is not None:
                 self._target.handle(record)
+            last = record is None or (self._closed.is_set() and self._records.empty())
             if self.dropped > reported:
                 reported = self.dropped
                 text = f"{reported} records of the log were dropped so far: there were too many, or nobody read them"

@@ -13,7 +13,7 @@ import select
 from collections import deque
 from collections.abc import Callable
 
-MOST_A_TURN = 8
+MOST_A_TURN = 4
 """Connections that are served in one turn."""
 
 PERIOD = 0.02

@@ -296,9 +296,10 @@ class _Connection:
     def _read(self) -> None:
         """Take the rest of one line, or a chunk of it. What comes after it stays in the kernel."""
         try:
-            there = self._socket.recv(CHUNK, socket.MSG_PEEK)
+            most = MAX_SIGN if self.requested else CHUNK
+            there = self._socket.recv(most, socket.MSG_PEEK)
             end = there.find(b"\n") + 1
-            self._line += self._socket.recv(end or CHUNK)
+            self._line += self._socket.recv(end or most)
         except BlockingIOError:
             return
         except OSError:
