@@ -69,6 +69,8 @@ class Commands:
         self.record = Record.read(data, vehicle.vehicle.kind)
         """What was done of the commissioning."""
         self._published: dict[str, Any] = {}
+        self._told: Message = {}
+        """The last answer with the status."""
         self._publish_record()
         if self.adopted.acting != VEHICLE_FILE:
             file = self.adopted.acting.of(vehicle)
@@ -79,7 +81,10 @@ class Commands:
         experiment ends in order."""
         match request["verb"]:
             case "status":
-                yield result(ExitCode.DONE, status=self._status())
+                status = self._status()
+                if status is not self._told.get("status"):
+                    self._told = result(ExitCode.DONE, status=status)
+                yield self._told
             case "stop":
                 yield await self._stop(now=request.get("now") is True)
             case "reset":

@@ -46,6 +46,9 @@ ORDERLY_END = 20.0
 """Time limit, s, for an experiment to lower the vehicle when the daemon shall end."""
 
 
+STATUS_AGE = 0.1
+"""s that a status is given again while the state does not change: many may ask."""
+
 CONFIRMATION = 3.0
 """Time limit, s, for the drives to confirm that they are off; without this process they stop by their watchdogs."""
 
@@ -77,6 +80,8 @@ class Daemon:
         self._link: CanopenLink | None = None
         self.reports: list[DriveReport] = []
         self._published: dict[str, Any] = {}
+        self._last_status: dict[str, Any] = {}
+        self._status_until = 0.0
         self._clock = start_clock()
         self._clock_steps = 0
         hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses())
@@ -273,6 +278,7 @@ class Daemon:
 
     def _publish_state(self) -> None:
         """Send a changed state to the observer, which publishes it by MQTT."""
+        self._status_until = 0.0
         lease = self.commands.lease
         held = lease.holder if lease is not None and self.loop.mode is Mode.RUNNING else None
         state = {**self.loop.state(), "held_by": held, "commands": self.vehicle.mqtt.commands}
@@ -299,7 +305,13 @@ class Daemon:
             await asyncio.sleep(0.02)
 
     def status(self) -> dict[str, Any]:
-        """The document of `upright status --json`."""
+        """The document of `upright status --json`, the same one as before for STATUS_AGE or until the state changes."""
+        now = time.monotonic()
+        if now >= self._status_until:
+            self._last_status, self._status_until = self._status(), now + STATUS_AGE
+        return self._last_status
+
+    def _status(self) -> dict[str, Any]:
         buses = self._buses.statistics() if self._buses is not None else []
         return {
             **self.loop.state(),

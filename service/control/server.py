@@ -79,6 +79,13 @@ class ApiServer:
         self._socket: socket.socket | None = None
         self._connections: dict[_Connection, None] = {}
         self._look: asyncio.TimerHandle | None = None
+        self._last: tuple[Message, bytes] = ({}, b"")
+
+    def line(self, message: Message) -> bytes:
+        """`message` as it is sent. One that is sent to several clients is encoded once."""
+        if message is not self._last[0]:
+            self._last = message, _line(message)
+        return self._last[1]
 
     def statistics(self) -> dict[str, int]:
         """For `upright status`."""
@@ -243,7 +250,7 @@ class _Connection:
             return
         if not self._waiting:
             self.waits_since = time.monotonic()
-        self._waiting += _line(message)
+        self._waiting += self._server.line(message)
         self._watch()
 
     def finish(self) -> None:

@@ -13,12 +13,15 @@ import socket
 from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from service import turns as turns_module
+from service.control import daemon as daemon_module
 from service.control import server as server_module
 from service.control.api import ExitCode, Message, result
+from service.control.daemon import STATUS_AGE, Daemon, Places
 from service.control.server import (
     MAX_LINE,
     MOST_CONNECTIONS,
@@ -28,6 +31,7 @@ from service.control.server import (
     parse,
 )
 from service.turns import MOST_A_TURN, Turns
+from vehicles.file import load
 
 
 class Rig:
@@ -276,6 +280,29 @@ async def test_long_request_is_answered_although_it_comes_in_parts(rig: Rig) -> 
         client.send(line[begin : begin + 5000])
         await rig.turn()
     await rig.turn_until(lambda: b"status" in received(client), 10)
+
+
+async def test_answer_to_many_is_encoded_once(rig: Rig) -> None:
+    message = result(ExitCode.DONE, text="the same")
+    assert rig.server.line(message) is rig.server.line(message)
+    assert json.loads(rig.server.line(result(ExitCode.DONE, text="another")))["text"] == "another"
+
+
+async def test_status_is_computed_again_after_a_while_and_when_the_state_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = Daemon(load("monocab"), Places("virtual:status", "virtual:status", tmp_path, tmp_path / "s"))
+    now = SimpleNamespace(monotonic=lambda: 100.0)
+    monkeypatch.setattr(daemon_module, "time", now)
+    first = daemon.status()
+    assert daemon.status() is first
+    daemon.loop.set_up_done()
+    daemon._publish_state()  # as the loop does by itself once the daemon runs
+    changed = daemon.status()
+    assert changed["mode"] == "disarmed"
+    assert daemon.status() is changed
+    now.monotonic = lambda: 100.0 + STATUS_AGE
+    assert daemon.status() is not changed
 
 
 async def test_client_that_sends_and_stops_sending_is_answered(rig: Rig) -> None:
