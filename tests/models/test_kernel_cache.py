@@ -74,6 +74,51 @@ def test_damaged_file_is_rebuilt(plant: Kernel, empty: Path, damage: str, monkey
     assert machine_code.recall(path.name) is not None
 
 
+def _by_others(folder: Path, file: Path, how: str) -> None:
+    """Make it possible that others have written the file."""
+    stranger = 54321
+    match how:
+        case "folder of somebody else":
+            os.chown(folder, stranger, -1)
+        case "file of somebody else":
+            os.chown(file, stranger, -1)
+        case "folder that all can write":
+            folder.chmod(0o777)
+        case "folder that a group can write":
+            folder.chmod(0o770)
+        case "file that all can write":
+            file.chmod(0o666)
+        case "link":
+            file.rename(folder / "elsewhere")
+            file.symlink_to(folder / "elsewhere")
+        case "pipe":
+            file.unlink()
+            os.mkfifo(file)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "folder of somebody else", "file of somebody else", "folder that all can write",
+        "folder that a group can write", "file that all can write", "link", "pipe",
+    ],
+)  # fmt: skip
+def test_code_that_others_could_write_is_not_run(tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "somebody else" in how and os.geteuid():
+        pytest.skip("only root can give a file away")
+    monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
+    planted = machine_code.Assembled(b"code", {"structure": []})
+    machine_code.keep("model", planted)
+    folder = machine_code.cache_directory()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert machine_code.recall("model") == planted
+    _by_others(folder, folder / "model", how)
+    assert machine_code.recall("model") is None
+    machine_code.keep("model", planted)
+    own_folder = how != "folder of somebody else"  # everything else is put right by the next that is kept
+    assert (machine_code.recall("model") == planted) == own_folder
+
+
 def test_models_compile_without_a_writable_cache(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (empty / "file").touch()
     monkeypatch.setenv("UPRIGHT_CACHE", str(empty / "file"))  # no user can create a folder inside a file
