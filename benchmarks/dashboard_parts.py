@@ -20,6 +20,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from service.control.api import ApiError, call
 from service.dashboard.app import Dashboard, Settings
+from service.dashboard.guard import LIMITS
 from vehicles.sections import VehicleFile
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
@@ -53,7 +54,7 @@ def server(vehicle: VehicleFile, folder: Path, websocket: int) -> Iterator[str]:
     """The dashboard's server in a thread: the page's address."""
     place = socket.create_server(("127.0.0.1", 0))
     application = Dashboard(Settings(vehicle, folder, f"ws://127.0.0.1:{websocket}")).app
-    running = uvicorn.Server(uvicorn.Config(application, log_level="warning", access_log=False))
+    running = uvicorn.Server(uvicorn.Config(application, **LIMITS))
     thread = threading.Thread(target=running.run, kwargs={"sockets": [place]})
     thread.start()
     try:

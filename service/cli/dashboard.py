@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,9 @@ import typer
 
 from service.cli.arguments import VehicleArgument
 from service.output import people
+
+SHORTEST_TOKEN = 16
+"""Characters of a token, which then cannot be guessed."""
 
 
 def register(app: typer.Typer) -> None:
@@ -26,7 +30,15 @@ def dashboard(
         Path | None,
         typer.Option(
             "--password-file",
-            help="File with the user's password in its first line: anyone who opens the page has this user's rights.",
+            help="File with the user's password in its first line; pages with the token get it.",
+        ),
+    ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--token-file",
+            help="File with the token of the page's address in its first line; made if it is missing.",
+            show_default="a new token, in the address that is printed",
         ),
     ] = None,
     data: Annotated[Path, typer.Option("--data", help="Folder of the recordings.")] = Path("recordings"),
@@ -47,16 +59,38 @@ def dashboard(
     import uvicorn
 
     from service.dashboard.app import Dashboard, Settings
+    from service.dashboard.guard import LIMITS, new_token
     from vehicles.file import load
 
     if not websocket.startswith(("ws://", "wss://")) or any(sign in websocket for sign in " ;,'\""):
         raise typer.BadParameter("has to be ws://HOST:PORT or wss://HOST:PORT", param_hint="--websocket")
-    password = ""
-    if password_file is not None:
-        try:
-            password = password_file.read_text(encoding="utf-8").partition("\n")[0]
-        except OSError as error:
-            raise typer.BadParameter(f"{password_file}: {error.strerror}", param_hint="--password-file") from error
-    settings = Settings(load(vehicle), data, websocket, user, password, host, socket)
-    people.print(f"Dashboard: http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{port}")
-    uvicorn.run(Dashboard(settings).app, host=host, port=port, log_level="warning", access_log=False)
+    password = "" if password_file is None else _first_line(password_file, "--password-file")
+    token = new_token()
+    if token_file is not None:
+        if not token_file.exists():
+            _write_secret(token_file, token, "--token-file")
+        token = _first_line(token_file, "--token-file")
+        if len(token) < SHORTEST_TOKEN:
+            text = f"{token_file}: a token has at least {SHORTEST_TOKEN} characters; remove the file to have one made"
+            raise typer.BadParameter(text, param_hint="--token-file")
+    settings = Settings(load(vehicle), data, websocket, user, password, host, socket, token)
+    address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{port}/"
+    shown = token if token_file is None else f"$(cat {token_file})"
+    people.print(f"Dashboard: {address}#token={shown}", soft_wrap=True)
+    uvicorn.run(Dashboard(settings).app, host=host, port=port, **LIMITS)
+
+
+def _first_line(path: Path, option: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8").partition("\n")[0]
+    except OSError as error:
+        raise typer.BadParameter(f"{path}: {error.strerror}", param_hint=option) from error
+
+
+def _write_secret(path: Path, secret: str, option: str) -> None:
+    """Write a new file that only its owner can read."""
+    try:
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(secret + "\n")
+    except OSError as error:
+        raise typer.BadParameter(f"{path}: {error.strerror}", param_hint=option) from error

@@ -3,8 +3,8 @@
 The page gets live data from the broker, over MQTT websockets; commands go the same way to the daemon's command layer.
 The steps of a commissioning are carried out by jobs, which pass their result to the daemon by its control socket; an
 experiment of a step has been run by the page before, which holds its lease.
-The server is for the local machine only: requests for another host name are refused, requests that change something
-must come from the page (a header that no foreign page can send), and the page loads nothing from elsewhere.
+The server is for the local machine only. Requests for another host name or from another page are refused, requests that
+change something need a token (`service.dashboard.guard`), and the page loads nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,29 +20,24 @@ from urllib.parse import urlsplit
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from estimators.identify.table import METHODS
 from models import library
 from models.effects.catalogue import CATALOGUE
 from models.place import places_of
 from service.control import assembly
+from service.dashboard.guard import Guard, has_token, new_token
 from service.dashboard.jobs import Jobs
-from service.dashboard.recordings import Folder, UnknownRecording
+from service.dashboard.recordings import Folder, UnknownRecording, own_file
 from telemetry.errors import UprightError
 from vehicles import commissioning, registry
 from vehicles.file import VehicleFile
 
 STATIC = Path(__file__).with_name("static")
-LOCAL = ["localhost", "127.0.0.1", "[::1]"]
-MARK = "x-upright"
-"""Header of requests that change something. A page from elsewhere cannot send it without a preflight (CORS)."""
-LARGEST_BODY = 10_000
 SHORTEST_REASON, LONGEST_REASON = 3, 500
 """Characters of the reason why a step is skipped."""
 
@@ -52,15 +47,17 @@ class Settings:
     """The page's connections and the folder of the recordings.
 
     `websocket` is the broker's, ws://HOST:PORT; `socket` is the daemon's control socket, by default the usual one.
+    `password` is given to pages with the `token` only.
     """
 
     vehicle: VehicleFile
     data: Path
     websocket: str
     user: str = ""
-    password: str = ""
+    password: str = field(default="", repr=False)
     host: str = "127.0.0.1"
     socket: Path | None = None
+    token: str = field(default_factory=new_token, repr=False)
 
 
 class Dashboard:
@@ -89,8 +86,7 @@ class Dashboard:
             routes=routes,
             lifespan=self._lifespan,
             middleware=[
-                Middleware(TrustedHostMiddleware, allowed_hosts=LOCAL),
-                Middleware(Guard, policy=_policy(settings.websocket)),
+                Middleware(Guard, policy=_policy(settings.websocket), token=settings.token),
             ],
             exception_handlers={
                 UnknownRecording: _refuse(404),
@@ -107,6 +103,7 @@ class Dashboard:
     async def _config(self, request: Request) -> Response:
         vehicle, settings = self._settings.vehicle, self._settings
         views = registry.of(vehicle.vehicle.kind).views
+        trusted = has_token(request.headers, settings.token)
         return JSONResponse({
             "vehicle": vehicle.vehicle.id,
             "description": vehicle.vehicle.description,
@@ -115,7 +112,8 @@ class Dashboard:
             "websocket": settings.websocket,
             "topic": f"{vehicle.mqtt.base}/{vehicle.vehicle.id}",
             "user": settings.user,
-            "password": settings.password,
+            "password": settings.password if trusted else "",
+            "trusted": trusted,
             "lease": vehicle.control.lease,
             "rate": vehicle.control.rate,
             "support_deg": vehicle.limits.support_deg,
@@ -168,8 +166,6 @@ class Dashboard:
         return self._models / f"{self._settings.vehicle.vehicle.id}.toml"
 
     async def _start(self, request: Request) -> Response:
-        if int(request.headers.get("content-length", "0")) > LARGEST_BODY:
-            raise HTTPException(413, "too large")
         try:
             document = await request.json()
         except ValueError:
@@ -261,7 +257,7 @@ REPORT = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:;
 
 def _report_of(folder: Path, name: str) -> Response:
     """A report as a separate page, in which no script can run."""
-    there = [each.name for each in folder.iterdir()] if folder.is_dir() else []
+    there = [each.name for each in folder.iterdir() if own_file(each)] if folder.is_dir() else []
     if name not in there or not name.endswith(".html"):
         raise HTTPException(404, "no such report")
     return FileResponse(folder / name, media_type="text/html", headers={"content-security-policy": REPORT})
@@ -286,35 +282,6 @@ def _policy(websocket: str) -> str:
         f"default-src 'self'; connect-src 'self' {place.scheme}://{place.netloc}; img-src 'self' data:;"
         " object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-
-
-class Guard:
-    """Adds headers to every response, and refuses requests that change something without the header MARK."""
-
-    def __init__(self, app: ASGIApp, policy: str) -> None:
-        self._app = app
-        self._headers = {
-            b"content-security-policy": policy.encode(),
-            b"x-content-type-options": b"nosniff",
-            b"referrer-policy": b"no-referrer",
-            b"cache-control": b"no-cache",
-        }
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        if scope["method"] not in ("GET", "HEAD") and MARK.encode() not in dict(scope["headers"]):
-            await JSONResponse({"error": "not from the page"}, 403)(scope, receive, send)
-            return
-
-        async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                there = {name for name, _ in message["headers"]}
-                message["headers"] += [(name, value) for name, value in self._headers.items() if name not in there]
-            await send(message)
-
-        await self._app(scope, receive, with_headers)
 
 
 def _refuse(status: int) -> Callable[[Request, Exception], Awaitable[Response]]:

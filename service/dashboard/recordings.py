@@ -1,4 +1,7 @@
-"""The recordings in a folder, for the dashboard. Names from outside are only looked up among the existing ones."""
+"""The recordings in a folder, for the dashboard. Names from outside are only looked up among the existing ones.
+
+Symbolic links in the folder are not followed: with one, any file that the server may read would be served.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ class Folder:
         """The names, newest first, since they begin with the time."""
         if not self.path.is_dir():
             return []
-        found = [each.name for each in self.path.iterdir() if each.suffix in SUFFIXES and each.is_file()]
+        found = [each.name for each in self.path.iterdir() if each.suffix in SUFFIXES and own_file(each)]
         return sorted(found, reverse=True)[:MOST_LISTED]
 
     def find(self, name: str) -> Path:
@@ -54,8 +57,8 @@ class Folder:
                     "name": name,
                     "bytes": stat.st_size,
                     "modified": stat.st_mtime,
-                    "log": path.with_suffix(".log").is_file(),
-                    "estimates": path.with_suffix(".estimates.json").is_file(),
+                    "log": own_file(path.with_suffix(".log")),
+                    "estimates": own_file(path.with_suffix(".estimates.json")),
                 }
             )
         return listed
@@ -87,16 +90,22 @@ class Folder:
         path = self.find(name)
         beside = {"recording": path, "log": path.with_suffix(".log"), "estimates": path.with_suffix(".estimates.json")}
         target = beside.get(what)
-        if target is None or not target.is_file():
+        if target is None or not own_file(target):
             raise UnknownRecording(f"this recording has no {what[:20]}.", remedy="Download the recording itself.")
         return target
 
     def _beside(self, path: Path) -> dict[str, Any] | None:
+        estimates = path.with_suffix(".estimates.json")
         try:
-            document = json.loads(path.with_suffix(".estimates.json").read_text(encoding="utf-8"))
+            document = json.loads(estimates.read_text(encoding="utf-8")) if own_file(estimates) else None
         except (OSError, ValueError):
             return None
         return document if isinstance(document, dict) else None
+
+
+def own_file(path: Path) -> bool:
+    """Whether `path` is a file itself, and not a link to one."""
+    return path.is_file() and not path.is_symlink()
 
 
 def _numbers(values: Any) -> list[float | None]:
@@ -104,4 +113,4 @@ def _numbers(values: Any) -> list[float | None]:
     return [float(f"{value:.7g}") if known else None for value, known in zip(values, finite, strict=True)]
 
 
-__all__ = ["Folder", "RecordingError", "UnknownRecording"]
+__all__ = ["Folder", "RecordingError", "UnknownRecording", "own_file"]

@@ -77,10 +77,10 @@ async def _run(
         vehicle = vehicle.model_copy(update={"mqtt": vehicle.mqtt.model_copy(update=mqtt)})
         places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
         daemon = Daemon(vehicle, places, lock_step=True)
-        shown = nullcontext() if port is None else _dashboard(vehicle, places, broker.websocket, port)
+        shown = nullcontext("") if port is None else _dashboard(vehicle, places, broker.websocket, port)
         disturbance = usual_disturbance(vehicle)
         with (
-            shown,
+            shown as address,
             virtual_vehicle_beside(
                 vehicle,
                 hide,
@@ -101,7 +101,7 @@ async def _run(
                         await asyncio.to_thread(evaluate, recordings)
                     except UprightError as error:  # for example if the run was stopped before the vehicle rose
                         people.print(f"[yellow]No report: {error}[/yellow]")
-                    people.print(f"Dashboard: http://localhost:{port}, until Ctrl-C.")
+                    people.print(f"Dashboard, until Ctrl-C: {address}", soft_wrap=True)
                     await serving
                 return recordings
             finally:
@@ -110,23 +110,26 @@ async def _run(
 
 
 @contextmanager
-def _dashboard(vehicle: VehicleFile, places: Places, websocket: str, port: int) -> Iterator[None]:
-    """The dashboard on this machine's `port`, in a thread of its own. Raises DemoError if it is in use."""
+def _dashboard(vehicle: VehicleFile, places: Places, websocket: str, port: int) -> Iterator[str]:
+    """The dashboard on this machine's `port`, in a thread of its own: its address. Raises DemoError if the port is in
+    use."""
     import uvicorn
 
     from service.dashboard.app import Dashboard, Settings
+    from service.dashboard.guard import LIMITS
 
     try:
         place = socket.create_server(("127.0.0.1", port))
     except OSError as error:
         raise DemoError(f"port {port}: {error.strerror}.", remedy="Choose another one with --port.") from error
-    application = Dashboard(Settings(vehicle, places.data, websocket, socket=places.socket)).app
-    server = uvicorn.Server(uvicorn.Config(application, log_level="warning", access_log=False))
+    settings = Settings(vehicle, places.data, websocket, socket=places.socket)
+    server = uvicorn.Server(uvicorn.Config(Dashboard(settings).app, **LIMITS))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, name="dashboard")
     thread.start()
-    people.print(f"Dashboard: http://localhost:{port}")
+    address = f"http://localhost:{port}/#token={settings.token}"
+    people.print(f"Dashboard: {address}", soft_wrap=True)
     try:
-        yield
+        yield address
     finally:
         server.should_exit = True
         thread.join()

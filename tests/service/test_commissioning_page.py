@@ -19,7 +19,7 @@ from typing import Any
 import paho.mqtt.client as mqtt
 import pytest
 from playwright.sync_api import Browser, Page, expect
-from served import free_port, listening, served
+from served import TOKEN, free_port, listening, served
 from watched import Watched, chromium
 
 from service.dashboard import jobs
@@ -246,8 +246,8 @@ def address(ports: tuple[int, int], data: Path, tmp_path_factory: pytest.TempPat
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(commissioning, "steps_of", lambda kind: STEPS)
         patch.setattr(jobs, "UPRIGHT", (sys.executable, "-c", STUB, str(data)))
-        with served(Dashboard(Settings(load("monocab"), data, f"ws://127.0.0.1:{ports[1]}"))) as made:
-            yield made
+        with served(Dashboard(Settings(load("monocab"), data, f"ws://127.0.0.1:{ports[1]}", token=TOKEN))) as made:
+            yield f"{made}#token={TOKEN}"
 
 
 @pytest.fixture(scope="module")
@@ -271,7 +271,7 @@ def watched(browser: Browser, address: str, vehicle: Vehicle) -> Iterator[Watche
     vehicle.say()
     vehicle.record(WIRING, REST)
     context = browser.new_context(viewport={"width": 1280, "height": 900}, color_scheme="light")
-    made = Watched(context, f"{address}#commissioning", link=None)
+    made = Watched(context, f"{address}&commissioning", link=None)
     expect(made.page.locator("#next-step")).to_be_visible()
     yield made
     assert made.errors == []
@@ -516,7 +516,7 @@ def test_vehicle_without_steps_has_its_experiments_alone(
     """Also under the earlier name of the view. The cards say which experiments do not get up."""
     vehicle.publish("commissioning", None)
     context = browser.new_context(viewport={"width": 1280, "height": 900})
-    watched = Watched(context, f"{address}#experiments", link=None)
+    watched = Watched(context, f"{address}&experiments", link=None)
     page = watched.page
     expect(page.locator("#tab-commissioning")).to_have_attribute("aria-selected", "true")
     expect(page.locator("[data-experiment=hold]")).to_be_enabled()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from served import served
+from served import TOKEN, served
 from starlette.exceptions import HTTPException
 
 from service.dashboard import jobs
@@ -34,12 +34,14 @@ STEPS = Steps.model_validate({
 def dashboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Dashboard:
     monkeypatch.setattr(commissioning, "steps_of", lambda kind: STEPS)
     (tmp_path / RECORDING).touch()
-    return Dashboard(Settings(load("monocab"), tmp_path, "ws://127.0.0.1:9001", socket=tmp_path / "upright.sock"))
+    return Dashboard(
+        Settings(load("monocab"), tmp_path, "ws://127.0.0.1:9001", socket=tmp_path / "upright.sock", token=TOKEN)
+    )
 
 
 def get(address: str, body: bytes | None = None) -> tuple[int, str, str]:
     """Status, content security policy and text of the answer; with a `body` to a POST."""
-    request = urllib.request.Request(address, body, {"x-upright": "1"})
+    request = urllib.request.Request(address, body, {"x-upright-token": TOKEN})
     try:
         with urllib.request.urlopen(request, timeout=20.0) as answer:
             return answer.status, answer.headers["content-security-policy"], answer.read().decode()
@@ -102,7 +104,7 @@ def test_vehicle_without_steps_refuses_them(tmp_path: Path, monkeypatch: pytest.
         raise CommissioningError(f"there are no steps for a {kind}.", remedy="Write them.")
 
     monkeypatch.setattr(commissioning, "steps_of", none)
-    with served(Dashboard(Settings(load("monocab"), tmp_path, "ws://127.0.0.1:9001"))) as address:
+    with served(Dashboard(Settings(load("monocab"), tmp_path, "ws://127.0.0.1:9001", token=TOKEN))) as address:
         status, _, answer = get(f"{address}api/jobs", b'{"kind": "begin"}')
     assert status == 422
     assert "there are no steps" in json.loads(answer)["error"]

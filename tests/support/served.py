@@ -11,13 +11,16 @@ from contextlib import contextmanager
 import uvicorn
 
 from service.dashboard.app import Dashboard
+from service.dashboard.guard import LIMITS
+
+TOKEN = "token-of-the-tests"
 
 
 @contextmanager
 def served(dashboard: Dashboard) -> Iterator[str]:
     """The address of the dashboard, served until the block ends."""
     place = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(dashboard.app, log_level="warning", access_log=False))
+    server = uvicorn.Server(uvicorn.Config(dashboard.app, **LIMITS))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
     thread.start()
     try:

@@ -45,7 +45,7 @@ def free_port() -> int:
 
 @dataclass
 class Topology:
-    """The running parts. `page` is the dashboard's address."""
+    """The running parts. `page` is the dashboard's address, with its token."""
 
     folder: Path
     mqtt: int
@@ -103,6 +103,7 @@ def topology(folder: Path, text: str, *options: str) -> Iterator[Topology]:
         )  # fmt: skip
         try:
             _until_answers(made, process)
+            made.page += f"#token={made.password('page')}"
             yield made
         finally:
             process.send_signal(signal.SIGTERM)

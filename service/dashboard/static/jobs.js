@@ -1,9 +1,10 @@
 // Jobs on the server: started, polled twice a second, shown or cancelled.
 
 import { h, fill, seconds } from "./dom.js";
+import { token } from "./token.js";
 
 export async function ask(path, options = {}) {
-  const response = await fetch(path, { ...options, headers: { "x-upright": "1", ...(options.body ? { "content-type": "application/json" } : {}) } });
+  const response = await fetch(path, { ...options, headers: { "x-upright-token": token, ...(options.body ? { "content-type": "application/json" } : {}) } });
   const document = await response.json().catch(() => ({ error: `status ${response.status}` }));
   if (!response.ok) throw new Error(document.error ?? `status ${response.status}`);
   return document;

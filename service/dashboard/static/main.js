@@ -8,14 +8,14 @@ import { Commissioning } from "./commissioning.js";
 import { Identify } from "./identify.js";
 import { Gap } from "./gap.js";
 import { Recordings } from "./recordings.js";
+import { ask } from "./jobs.js";
 import { login } from "./login.js";
 
 const STALE = 1500; // ms without telemetry after which the displayed data are stale
 const LATE = 0.7; // s by which telemetry may be later than at first
 const ALIASES = { experiments: "commissioning" }; // earlier names of views, in addresses that people have kept
 
-const response = await fetch("api/config");
-const config = await response.json();
+const config = await ask("api/config");
 const views = {};
 const app = { config, link: null, state: null, show, notice, stop, named };
 let shown = "live";
@@ -142,6 +142,7 @@ matchMedia("print").addEventListener("change", (event) => print(event.matches));
 addEventListener("hashchange", () => show(location.hash.slice(1)));
 const first = location.hash.slice(1);
 show(views[ALIASES[first] ?? first] ? first : "live");
+if (!config.trusted) notice("This page may only look at recordings: for anything else, open it by the address that the dashboard printed.");
 
 app.link = new Link(config, {
   link: (link, refused) => {
