@@ -5,8 +5,7 @@ atomically, so processes that start together do not disturb each other; a damage
 cannot be written, everything works as without one.
 
 What lies there is run: whoever can write it has the rights of whoever reads it, and a digest beside the code proves
-nothing. So folder and file have to belong to this user or to root, and nobody else may be able to write them;
-otherwise the file counts as missing. New folders are for this user alone.
+nothing. So a file that somebody else could have written counts as missing (`models.own_files`).
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ import functools
 import hashlib
 import json
 import os
-import stat
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from models.own_files import make_own, read_own
+
 LANES = 4
 """Numbers that are processed at once; rows of sensitivities are padded to a multiple of it."""
 DIGEST = hashlib.sha256().digest_size
-OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +56,7 @@ def cache_directory() -> Path:
 def recall(name: str) -> Assembled | None:
     """The code that was kept under `name`; None if there is none, it is damaged, or others may have written it."""
     try:
-        content = _read(cache_directory(), name)
+        content = read_own(cache_directory(), name)
     except OSError:
         return None
     rest = content[DIGEST:]
@@ -72,34 +71,12 @@ def keep(name: str, assembled: Assembled) -> None:
     rest = json.dumps(dict(assembled.facts)).encode() + b"\n" + assembled.code
     path = cache_directory() / name
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        there = path.parent.stat()
-        if there.st_uid == os.geteuid() and there.st_mode & OTHERS:  # of an earlier version
-            path.parent.chmod(there.st_mode & ~OTHERS)
+        make_own(path.parent)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
             file.write(hashlib.sha256(rest).digest() + rest)
         os.replace(file.name, path)
     except OSError:
         return
-
-
-def _read(folder: Path, name: str) -> bytes:
-    """The content of a file. What is checked is what is read, whatever is renamed meanwhile. Raises OSError."""
-    place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        _check_owner(place, folder)
-        with open(os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=place), "rb") as file:
-            _check_owner(file.fileno(), folder / name)
-            return file.read()
-    finally:
-        os.close(place)
-
-
-def _check_owner(descriptor: int, path: Path) -> None:
-    """Raises PermissionError if somebody else could have written what is open here."""
-    there = os.fstat(descriptor)
-    if there.st_uid not in (os.geteuid(), 0) or there.st_mode & OTHERS:
-        raise PermissionError(f"{path} belongs to somebody else, or others can write it")
 
 
 def assemble(text: str, facts: Mapping[str, Any], *, optimise: bool = False) -> Assembled:

@@ -24,15 +24,14 @@ expression for the place (force; command, delay or lag; angle_reading or rate_re
     value = "coordinate_scale / 4"
     scale = "coordinate_scale / 20"
 
-A Python file assigns `EFFECT = Effect(...)`. It is code, and reading it runs it with the rights of the reader: read
-only files that you would run. A TOML file runs no code.
+A Python file assigns `EFFECT = Effect(...)`. It is code, and reading it runs it with the rights of the reader. So it is
+refused unless this user has allowed exactly this file (`models.file.allowed_code`). A TOML file runs no code.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-import runpy
 import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -41,6 +40,7 @@ from typing import Any
 from models.attach import BELONGING
 from models.effect import Effect, EffectParameter, EffectState, Family, Role
 from models.effects.catalogue import CATALOGUE
+from models.file.allowed_code import is_allowed, sha256
 from models.file.effect_rules import validate
 from models.parts import ModelError, Place
 
@@ -54,17 +54,18 @@ _FORMERLY = {"strikes": "impacts"}
 Table = Mapping[str, object]
 
 
-def load_effect(path: str | Path) -> Effect:
-    """The effect that the file at `path` describes: TOML, or Python, which is run.
+def load_effect(path: str | Path, *, allow: bool = False) -> Effect:
+    """The effect that the file at `path` describes: TOML, or Python, which is run if this user or `allow` allows it.
 
-    Raises ModelError, which names file, key and remedy, if it cannot be read, a key is missing, unknown or of the
-    wrong type, an expression is invalid, the effect is not neutral at zero amplitudes, or the catalogue has its name.
+    Raises ModelError, which names file, key and remedy, if it cannot be read or is not allowed, a key is missing,
+    unknown or of the wrong type, an expression is invalid, the effect is not neutral at zero amplitudes, or the
+    catalogue has its name.
     """
     path = Path(path)
     if path.suffix not in (".toml", ".py"):
         raise ModelError(str(path), "is not an effect file", remedy="give it the ending .toml or .py.")
     try:
-        effect = _from_python(path) if path.suffix == ".py" else _from_toml(path)
+        effect = _from_python(path, allow) if path.suffix == ".py" else _from_toml(path)
     except OSError as error:
         raise ModelError(str(path), f"cannot be read ({error.strerror or error})", remedy="check the path.") from error
     if effect.name in CATALOGUE:
@@ -83,11 +84,16 @@ def _in_file(path: Path, error: ModelError) -> ModelError:
     return ModelError(f"{path}: {error.where}", what, remedy=error.remedy)
 
 
-def _from_python(path: Path) -> Effect:
+def _from_python(path: Path, allow: bool) -> Effect:
+    content = path.read_bytes()
+    if not (allow or is_allowed(content)):
+        what = f"is Python code (SHA-256 {sha256(content)}), and was not allowed to run, or has changed since"
+        remedy = f"read it; if you would run it, allow it: upright model allow {path}"
+        raise ModelError(str(path), what, remedy=remedy)
+    names: dict[str, Any] = {"__name__": "<run_path>", "__file__": str(path)}
     try:
-        effect = runpy.run_path(str(path)).get("EFFECT")
-    except OSError:
-        raise
+        exec(compile(content, str(path), "exec"), names)
+        effect = names.get("EFFECT")
     except (Exception, SystemExit) as error:
         what = f"fails when it is run ({type(error).__name__}: {error})"
         raise ModelError(str(path), what, remedy="correct the Python code.") from error

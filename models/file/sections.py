@@ -178,6 +178,7 @@ class HistorySection(Section):
     error_before: Finite | dict[str, Finite] | None = None
     error_after: Finite | dict[str, Finite] | None = None
     sha256: str | list[str] | None = None
+    effect_sha256: str | None = None
     horizon: Positive | None = None
     held_out: str | list[str] | None = None
     held_out_sha256: str | list[str] | None = None

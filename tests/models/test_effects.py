@@ -21,7 +21,9 @@ from models.compiler.kernel import Kernel, compile_model
 from models.effect import Effect, Family
 from models.effects.catalogue import CATALOGUE, families, find
 from models.expressions import number
+from models.file.allowed_code import allow, sha256
 from models.file.effect_rules import validate
+from models.file.model_file import load_model
 from models.file.own_effects import load_effect
 from models.library import get
 from models.library.axis import axis
@@ -517,8 +519,39 @@ EFFECT = Effect(
 
 
 def test_effect_from_a_python_file_can_be_attached(tmp_path: Path) -> None:
-    effect = load_effect(_file(tmp_path, PYTHON, "wind.py"))
+    effect = load_effect(_file(tmp_path, PYTHON, "wind.py"), allow=True)
     assert MONOCAB.add(effect).effects[0].amplitudes == ("wind.torque",)
+
+
+def test_python_file_runs_only_as_it_was_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    ran = tmp_path / "ran"
+    path = _file(tmp_path, f"import os\nos.mkdir({str(ran)!r})\n{PYTHON}", "wind.py")
+    (tmp_path / "theirs.toml").write_text('base = "axis"\n[[effects]]\nfile = "wind.py"\n')
+    for read in (load_effect, lambda path: load_model(path.with_name("theirs.toml"))):
+        with pytest.raises(ModelError, match=rf"{sha256(path.read_bytes())}.*was not allowed.*upright model allow"):
+            read(path)
+    assert not ran.exists()
+    assert allow(path) == allow(path) == sha256(path.read_bytes())
+    assert load_model(tmp_path / "theirs.toml").effects[0].name == "wind"
+    assert ran.is_dir()
+    path.write_text(path.read_text() + "# changed\n")
+    with pytest.raises(ModelError, match="has changed since"):
+        load_effect(path)
+
+
+@pytest.mark.parametrize("mode", [0o666, 0o620])
+def test_list_of_allowed_files_that_others_can_write_does_not_count(
+    tmp_path: Path, mode: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    path = _file(tmp_path, PYTHON, "wind.py")
+    allow(path)
+    (tmp_path / "state" / "upright" / "allowed-python").chmod(mode)
+    with pytest.raises(ModelError, match="was not allowed"):
+        load_effect(path)
+    with pytest.raises(ModelError, match="others could have written"):
+        allow(path)
 
 
 @pytest.mark.parametrize(
@@ -584,7 +617,7 @@ def test_parameters_that_are_not_a_list_of_tables_are_refused(tmp_path: Path) ->
 def test_invalid_python_file_is_refused(tmp_path: Path, text: str, what: str) -> None:
     path = _file(tmp_path, text, "own.py")
     with pytest.raises(ModelError, match=what) as caught:
-        load_effect(path)
+        load_effect(path, allow=True)
     assert str(path) in caught.value.where
     assert caught.value.remedy
 

@@ -327,6 +327,26 @@ def test_path_of_a_user_defined_effect_is_adapted_to_the_new_file(tmp_path: Path
     assert file.effect_files == {"bump": "../old/bump.toml"}
 
 
+def test_python_effect_is_added_once_allowed_and_its_hash_is_in_the_history(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    model, effect = tmp_path / "mine.toml", tmp_path / "wind.py"
+    model.write_text('base = "axis"\n')
+    effect.write_text(
+        "from models.effect import Effect, EffectParameter, Family\nfrom models.parts import Place\n"
+        'EFFECT = Effect(name="wind", family=Family.BIAS, title="gusts", place=Place.JOINT, equation="F = torque",\n'
+        '    parameters=(EffectParameter("torque", "{force}", "wind", amplitude=True, scale="force_scale"),),\n'
+        '    signature="", confused_with=(), separated_by="", force="torque * sin(time) ** 2")\n'
+    )
+    with pytest.raises(ModelError, match="upright model allow"):
+        upright("add", model, effect)
+    upright("allow", effect)
+    upright("add", model, effect)
+    digest = sha256(effect.read_bytes()).hexdigest()
+    assert [entry["effect_sha256"] for entry in read(model).history] == [digest]
+
+
 def test_held_out_without_a_recording_is_a_usage_error(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MODEL)
     done = CliRunner().invoke(

@@ -88,8 +88,10 @@ def add(
     before, target = _start(name, vehicle), _target(name, output)
     files = {own: _from(target, _found(name, path)) for own, path in before.effect_files.items()}
     own_file = effect.endswith((".toml", ".py"))
+    own_sha256 = {"effect_sha256": _sha256(effect)} if own_file else {}
     wanted: Effect | str = load_effect(Path(effect)) if own_file else effect
-    entry: dict[str, Any] = {"action": "add", "effect": before.model.add(wanted, at).effects[-1].name, "date": _now()}
+    name_there = before.model.add(wanted, at).effects[-1].name
+    entry: dict[str, Any] = {"action": "add", "effect": name_there, "date": _now(), **own_sha256}
     found: Revision | None = None
     if recording:
         from service.cli.models.history_entry import fit_entry, rounded
@@ -265,6 +267,13 @@ def _load(path: Path, vehicle: str | None) -> Recording:
 
     found = with_regular_times(load(path)) if vehicle is None else load_recording(path, vehicle)
     return replace(found, source=path.name)
+
+
+def _sha256(path: str) -> str:
+    """Of the file of an effect; the file's own error is reported when it is read."""
+    from models.file.allowed_code import sha256
+
+    return sha256(Path(path).read_bytes()) if Path(path).is_file() else ""
 
 
 def _now() -> Any:

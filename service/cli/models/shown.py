@@ -1,4 +1,4 @@
-"""Commands for models: model show, model list-effects, model new, model remove; the others are in changed."""
+"""Commands for models: model show, list-effects, new, remove and allow; the others are in changed."""
 
 from __future__ import annotations
 
@@ -181,6 +181,24 @@ def remove(
         print_json({"file": str(file), "removed": effect, "effects": left})
         return
     page.print(f"{file}: {effect} removed. Remaining effects: {', '.join(left) or 'none'}.", markup=False)
+
+
+@model.command(epilog="Example: `upright model allow wind.py`")
+def allow(
+    file: Annotated[Path, typer.Argument(help="The Python file of an effect of your own, which you have read.")],
+    json: JsonOption = False,
+) -> None:
+    """Allow the Python file of an effect to run, as it is now: it is code, and runs with your rights.
+
+    It is known by its content, whatever its name. Once changed, it has to be allowed again.
+    """
+    from models.file.allowed_code import allow as allow_file
+
+    digest = allow_file(file)
+    if json:
+        print_json({"file": str(file), "sha256": digest})
+        return
+    page.print(f"{file} may run from now on. SHA-256: {digest}", markup=False, soft_wrap=True)
 
 
 def _now() -> Any:
