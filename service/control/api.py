@@ -5,6 +5,8 @@ A request is `{"verb": ..., arguments}`. The answer is a stream of lines, each w
 The client that runs an experiment holds a lease on it and sends `{"verb": "renew"}` on the same connection
 periodically. If the connection ends or no renewal comes in time, the experiment ends.
 The other end is `service.control.server`.
+Write access to the socket allows moving the vehicle: only its owner and group have read and write permission, and the
+credentials of whoever has connected are checked (`service.control.peers`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
+from service.control.peers import FolderError, check_own
 from telemetry.errors import UprightError
 
 Message = dict[str, Any]
@@ -50,7 +53,7 @@ class ApiError(UprightError):
 
 def socket_candidates(vehicle_id: str) -> list[Path]:
     """The possible paths of the socket of a vehicle's daemon, that of the service first."""
-    places = [Path("/run/upright"), Path(tempfile.gettempdir()) / f"upright-{os.getuid()}"]
+    places = [Path("/run/upright"), temporary()]
     for variable in ("XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY"):
         if os.environ.get(variable):
             root = Path(os.environ[variable])
@@ -63,6 +66,11 @@ def default_socket(vehicle_id: str) -> Path:
     if os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR"):
         return socket_candidates(vehicle_id)[0]
     return socket_candidates(vehicle_id)[-1]
+
+
+def temporary() -> Path:
+    """This user's folder for a socket where there is no runtime directory. Everybody can make one of this name."""
+    return Path(tempfile.gettempdir()) / f"upright-{os.getuid()}"
 
 
 def result(exit_code: ExitCode, code: str = "", text: str = "", **more: Any) -> Message:
@@ -121,10 +129,12 @@ def _connect(paths: list[Path]) -> socket.socket:
     for path in paths:
         connection = socket.socket(socket.AF_UNIX)
         try:
+            if path.parent == temporary() and path.parent.exists():
+                check_own(path.parent)
             connection.connect(str(path))
-        except OSError as error:
+        except (OSError, FolderError) as error:
             connection.close()
-            reasons.append(f"{path}: {error.strerror}")
+            reasons.append(f"{path}: {error.strerror if isinstance(error, OSError) else str(error).rstrip('.')}")
         else:
             return connection
     raise ApiError(

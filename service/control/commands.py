@@ -86,9 +86,10 @@ class Commands:
                     self._told = result(ExitCode.DONE, status=status)
                 yield self._told
             case "stop":
-                yield await self._stop(now=request.get("now") is True)
+                yield await self._stop(str(request["client"]), now=request.get("now") is True)
             case "reset":
                 refusal = self._loop.reset_fault()
+                self._observer.event("info", "reset", f"{request['client']} asked for a reset")
                 yield result(ExitCode.REFUSED, "reset", refusal) if refusal else result(ExitCode.DONE)
             case "design":
                 yield await self._design(request)
@@ -186,13 +187,13 @@ class Commands:
         if document is not None:
             self._observer.retain("commissioning", document)
 
-    async def _stop(self, *, now: bool) -> Message:
+    async def _stop(self, client: str, *, now: bool) -> Message:
         if self._loop.mode is not Mode.RUNNING:
             return result(ExitCode.DONE, text="No experiment was running.")
         if now:
-            self._loop.stop_now("an operator requested an immediate stop")
+            self._loop.stop_now(f"an operator requested an immediate stop ({client})")
         else:
-            self._loop.end_experiment("an operator requested the end")
+            self._loop.end_experiment(f"an operator requested the end ({client})")
         if self._watching is not None:
             await asyncio.wait({self._watching})
         return result(ExitCode.DONE, text=self._loop.reason)
@@ -207,7 +208,7 @@ class Commands:
         if interlocks:
             yield result(ExitCode.REFUSED, "interlock", " ".join(interlocks), interlocks=interlocks)
             return
-        run = self._loop.start_experiment(name)
+        run = self._loop.start_experiment(name, client)
         lease = self.lease = Lease(client, self._vehicle.control.lease)
         self._watching = asyncio.create_task(self._watch(run, lease), name=f"watch {name}")
         phase: Phase | None = None

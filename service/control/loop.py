@@ -391,8 +391,8 @@ class ControlLoop:
         if self._deadline is not None:
             asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
 
-    def start_experiment(self, name: str) -> ExperimentRun:
-        """Start an experiment and its recording. Only allowed while `interlocks()` is empty."""
+    def start_experiment(self, name: str, client: str = "") -> ExperimentRun:
+        """Start an experiment and its recording, which names `client`. Only allowed while `interlocks()` is empty."""
         self.foreign.forget()
         self._end_code = "done"
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
@@ -403,7 +403,10 @@ class ControlLoop:
         if self._recording:
             self._end_recording()
         self._recording = True
-        self._observer.start_recording(name, self._reset_at_ns, assembly.recording_metadata(self.vehicle, name))
+        metadata = assembly.recording_metadata(self.vehicle, name) | ({"started_by": client} if client else {})
+        self._observer.start_recording(name, self._reset_at_ns, metadata)
+        if client:
+            self._observer.event("info", "started", f"{client} started {name}")
         self._enter(Mode.RUNNING, "running", f"experiment {name}")
         return run
 

@@ -4,7 +4,8 @@ It shares a process with the control loop, which no client may delay. So it does
 cycle (`service.turns`), in bounded pieces: some connections accepted, one line of a connection read, one piece of an
 answer written, and one request of all begun. A client that wants more waits in the kernel. Connections are limited, of
 a process and altogether, and nobody is waited for: neither for the rest of a request nor for the reading of an answer.
-Write access to the socket allows moving the vehicle: only its owner and group have read and write permission.
+Write access to the socket allows moving the vehicle: only its owner and group have read and write permission, and the
+credentials of whoever has connected are checked (`service.control.peers`).
 """
 
 from __future__ import annotations
@@ -12,15 +13,16 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import socket
-import struct
 import time
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing, suppress
 from itertools import count
 from pathlib import Path
 
-from service.control.api import GONE, ApiError, ExitCode, Message, result
+from service.control.api import GONE, ApiError, ExitCode, Message, result, temporary
+from service.control.peers import check_own, names, peer_of
 from service.turns import HANG_UP, MOST_A_TURN, READ, WRITE, Turns
 from telemetry.errors import UprightError
 
@@ -46,8 +48,6 @@ MOST_OF_A_PROCESS = 8
 PATIENCE = 5.0
 """s for a client to complete its request, and to read some of what waits for it."""
 
-_CREDENTIALS = struct.Struct("3i")
-
 Answer = Callable[[Message], AsyncGenerator[Message]]
 Sign = Callable[[Message], object]
 
@@ -68,13 +68,14 @@ class ApiServer:
 
     def __init__(self, path: Path, answer: Answer, sign: Sign | None = None, turns: Turns | None = None) -> None:
         self.refused = 0
-        """Connections that were refused because there were too many."""
+        """Connections that were refused: there were too many, or their user is not allowed."""
         self.dropped = 0
         """Connections that were ended because of what the client did, or did not do."""
         self._path = path
         self._answer = answer
         self._sign = sign
         self._turns = turns or Turns()
+        self._group = -1
         self._numbers = count(1)
         self._socket: socket.socket | None = None
         self._connections: dict[_Connection, None] = {}
@@ -92,9 +93,12 @@ class ApiServer:
         return {"connected": len(self._connections), "refused": self.refused, "dropped": self.dropped}
 
     async def start(self) -> None:
-        """Listen. Raises ApiError if another daemon already listens or the folder cannot be written."""
+        """Listen. Raises ApiError if another daemon already listens or the folder cannot be written, FolderError if it
+        has to be this user's own and is not."""
         try:
             self._path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
+            if self._path.parent == temporary():
+                check_own(self._path.parent)
             if self._path.exists():
                 with socket.socket(socket.AF_UNIX) as probe:
                     try:
@@ -111,6 +115,7 @@ class ApiServer:
                 listening.setblocking(False)
                 listening.bind(str(self._path))
                 self._path.chmod(0o660)
+                self._group = self._path.stat().st_gid
                 listening.listen()
             except OSError:
                 listening.close()
@@ -119,6 +124,7 @@ class ApiServer:
             raise ApiError(
                 f"cannot listen at {self._path}: {error.strerror}.", remedy="Give a writable path with --socket PATH."
             ) from error
+        names()
         self._socket = listening
         self._turns.watch(listening.fileno(), READ, self._accept)
         self._look_later()
@@ -147,13 +153,20 @@ class ApiServer:
             except OSError:  # there is none, or no descriptor is left
                 return
             accepted.setblocking(False)
-            process = process_of(accepted)
-            if self._make_room(process):
-                self._connections[_Connection(self, accepted, f"terminal {next(self._numbers)}", process)] = None
+            peer = peer_of(accepted)
+            if not peer.may_use(os.geteuid(), self._group):
+                text = f"user {peer.name} is neither the owner nor in the group of {self._path}."
+                self._refuse(accepted, _line(result(ExitCode.REFUSED, "not_allowed", text)))
+            elif self._make_room(peer.process):
+                client = f"terminal {next(self._numbers)} of {peer.name}"
+                self._connections[_Connection(self, accepted, client, peer.process)] = None
             else:
-                self.refused += 1
-                with accepted, suppress(OSError):
-                    accepted.send(_BUSY)
+                self._refuse(accepted, _BUSY)
+
+    def _refuse(self, accepted: socket.socket, answer: bytes) -> None:
+        self.refused += 1
+        with accepted, suppress(OSError):
+            accepted.send(answer)
 
     def _make_room(self, process: int) -> bool:
         """Whether there is room for a connection of `process`. One that has not requested anything yet has to go for
@@ -349,14 +362,6 @@ class _Connection:
     def _drop(self) -> None:
         self._server.dropped += 1
         self.end()
-
-
-def process_of(connected: socket.socket) -> int:
-    """The id of the process that opened the connection; 0 if it is one of another container."""
-    process: int = _CREDENTIALS.unpack(connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))[
-        0
-    ]
-    return process
 
 
 def parse(line: bytes) -> Message:

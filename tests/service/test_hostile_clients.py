@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import random
 import resource
 import socket
@@ -22,6 +23,7 @@ from service.control import daemon as daemon_module
 from service.control import server as server_module
 from service.control.api import ExitCode, Message, result
 from service.control.daemon import STATUS_AGE, Daemon, Places
+from service.control.peers import Peer
 from service.control.server import (
     MAX_LINE,
     MOST_CONNECTIONS,
@@ -47,7 +49,9 @@ class Rig:
         self._path = path
         self._stack = ExitStack()
         self._processes: dict[int, int] = {}
-        monkeypatch.setattr(server_module, "process_of", lambda accepted: self._next_process)
+        monkeypatch.setattr(
+            server_module, "peer_of", lambda accepted: Peer(self._next_process, os.geteuid(), frozenset())
+        )
         self._next_process = 1
 
     async def answer(self, request: Message) -> AsyncIterator[Message]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import pwd
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from service.control.api import RENEWAL_PERIOD, call
 from service.control.daemon import Daemon
 from service.control.lease import LOOK, Lease
 from service.control.loop import Mode
+from telemetry.storage import load
 
 LENGTH = 0.3
 SLACK = 1.0
@@ -139,6 +141,9 @@ async def test_run_ends_without_renewals_or_connection_and_repeated_renewals_hol
         writer.write(b"nonsense\n")
         assert "disconnected" in await _ended(daemon)
         writer.close()
+    # A recording names who started the experiment.
+    first = load(min(tmp_path.glob("*.arrow")))
+    assert first.metadata["started_by"] == f"terminal 1 of {pwd.getpwuid(os.geteuid()).pw_name}"
 
 
 @pytest.fixture
