@@ -18,7 +18,7 @@ from typing import Any
 from service.control import api
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
-from service.mqtt.embedded_broker import EmbeddedBroker
+from service.mqtt.embedded_broker import USER, EmbeddedBroker
 from service.output import live_estimates, missing_effects, page, people
 from service.virtual.passenger import carried
 from service.virtual.serving import virtual_vehicle_beside
@@ -77,7 +77,7 @@ async def _run(
         vehicle = vehicle.model_copy(update={"mqtt": vehicle.mqtt.model_copy(update=mqtt)})
         places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
         daemon = Daemon(vehicle, places, lock_step=True)
-        shown = nullcontext("") if port is None else _dashboard(vehicle, places, broker.websocket, port)
+        shown = nullcontext("") if port is None else _dashboard(vehicle, places, broker, port)
         disturbance = usual_disturbance(vehicle)
         with (
             shown as address,
@@ -110,7 +110,7 @@ async def _run(
 
 
 @contextmanager
-def _dashboard(vehicle: VehicleFile, places: Places, websocket: str, port: int) -> Iterator[str]:
+def _dashboard(vehicle: VehicleFile, places: Places, broker: EmbeddedBroker, port: int) -> Iterator[str]:
     """The dashboard on this machine's `port`, in a thread of its own: its address. Raises DemoError if the port is in
     use."""
     import uvicorn
@@ -122,7 +122,7 @@ def _dashboard(vehicle: VehicleFile, places: Places, websocket: str, port: int) 
         place = socket.create_server(("127.0.0.1", port))
     except OSError as error:
         raise DemoError(f"port {port}: {error.strerror}.", remedy="Choose another one with --port.") from error
-    settings = Settings(vehicle, places.data, websocket, socket=places.socket)
+    settings = Settings(vehicle, places.data, broker.websocket, USER, broker.password, socket=places.socket)
     server = uvicorn.Server(uvicorn.Config(Dashboard(settings).app, **LIMITS))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, name="dashboard")
     thread.start()

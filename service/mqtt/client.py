@@ -1,7 +1,7 @@
 """MQTT: publishes the vehicle's data at a broker, and works on without one.
 
 Topics, under BASE/VEHICLE: `status` (online/offline, with last will), `state`, `parameters`, `methods` and `diagnosis`
-retained, `telemetry` batches, `progress`, `event` and replies. `cmd/+` is subscribed to if commands are enabled, and
+retained, `telemetry` batches, `progress`, `event` and replies. `cmd/+/+` is subscribed to if commands are enabled, and
 its messages are forwarded unread (`service.mqtt.command_inbox`). Publishing only queues a message; one task
 communicates with the broker, and reconnects by itself. Of a retained topic only the latest message is kept; the others
 wait in bounded queues, and messages that do not fit are dropped and counted.
@@ -15,7 +15,7 @@ import json
 import ssl
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,8 @@ RETAINED = ("state", "parameters", "methods", "diagnosis", "commissioning")
 MOST_COMMANDS = 200
 """Maximum number of commands that wait to be processed; further ones are lost."""
 
-OnCommand = Callable[[str, bytes, bool], None]
-"""Called with verb, payload, and whether it was retained."""
+OnCommand = Callable[[str, str, bytes, bool], None]
+"""Called with user, verb, payload, and whether it was retained."""
 
 
 class MqttConfigError(UprightError):
@@ -63,7 +63,7 @@ class MqttConfig:
     topic: str
     client_id: str
     username: str | None = None
-    password: str | None = None
+    password: str | None = field(default=None, repr=False)
     tls: ssl.SSLContext | None = None
     commands: bool = False
 
@@ -122,14 +122,14 @@ class MqttPublisher:
     """Publishes for one vehicle. `run()` is the task that communicates with the broker; other methods neither wait nor
     fail.
 
-    `on_command` gets the messages on cmd/+, if the configuration enables commands. `announced` are full topics and
+    `on_command` gets the messages on cmd/+/+, if the configuration enables commands. `announced` are full topics and
     documents that are retained on each connection.
     """
 
     def __init__(
         self,
         config: MqttConfig,
-        on_command: OnCommand = lambda verb, payload, retained: None,
+        on_command: OnCommand = lambda user, verb, payload, retained: None,
         announced: Iterable[tuple[str, Any]] = (),
     ) -> None:
         self.statistics = MqttStatistics()
@@ -222,17 +222,18 @@ class MqttPublisher:
                 raise outcome
 
     async def _listen(self, client: aiomqtt.Client) -> None:
-        """Forward the messages on cmd/+; ends with the connection, even if nothing is subscribed to."""
+        """Forward the messages on cmd/USER/VERB; ends with the connection, even if nothing is subscribed to."""
         prefix = f"{self._config.topic}/cmd/"
         async for message in client.messages:
             topic = str(message.topic)
+            user, _, verb = topic.removeprefix(prefix).partition("/")
             if topic.startswith(prefix) and isinstance(message.payload, bytes):
-                self._on_command(topic.removeprefix(prefix), message.payload, bool(message.retain))
+                self._on_command(user, verb, message.payload, bool(message.retain))
 
     async def _publish(self, client: aiomqtt.Client) -> None:
         statistics, prefix = self.statistics, self._config.topic
         if self._config.commands:
-            await client.subscribe(f"{prefix}/cmd/+", qos=1)
+            await client.subscribe(f"{prefix}/cmd/+/+", qos=1)
         await client.publish(f"{prefix}/status", b"online", qos=1, retain=True)
         for topic, payload in self._announced:
             await client.publish(topic, payload, qos=1, retain=True)

@@ -31,9 +31,9 @@ class CommandInbox:
         self._clock = clock
         self._replies: OrderedDict[tuple[str, str], dict[str, Any]] = OrderedDict()
 
-    def take(self, verb: str, payload: bytes, retained: bool) -> None:
-        """Take a message on cmd/`verb`."""
-        found = self.gate.judge(verb, payload, retained=retained, now=self._clock())
+    def take(self, user: str, verb: str, payload: bytes, retained: bool) -> None:
+        """Take a message on cmd/`user`/`verb`."""
+        found = self.gate.judge(user, verb, payload, retained=retained, now=self._clock())
         if isinstance(found, Passed):
             command = {"verb": verb, "client": found.client, "id": found.id, "arguments": found.arguments}
             if not self._forward(command):

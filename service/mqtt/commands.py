@@ -1,5 +1,9 @@
 """The gate that a command over MQTT has to pass. Pure: the caller provides the time.
 
+A client is known as USER/CLIENT. The user is in the topic, cmd/USER/VERB, where the broker's access list lets everybody
+write below the own name only; the client is in the payload, and tells the pages of a user apart. So nobody can renew or
+release the lease of another user.
+
 A message that is retained, too large, not a command, late, a repetition or out of order is refused, and counted. A stop
 passes even late and out of order, and in a flood of other commands: it can only bring the vehicle to rest. All memory
 is bounded, and so is the number of commands a second that pass.
@@ -12,9 +16,9 @@ from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from service.mqtt.topics import ARGUMENTS, Command
+from service.mqtt.topics import ARGUMENTS, Command, User
 
 LARGEST = 4096
 """Maximum size of a command, bytes."""
@@ -33,6 +37,8 @@ MOST_CLIENTS = 64
 
 MOST_KNOWN = 64
 """Number of ids of a client by which repetitions are detected."""
+
+_USER = TypeAdapter(User)
 
 UNORDERED = ("stop",)
 """Verbs that are executed even if they are late."""
@@ -77,13 +83,13 @@ class CommandGate:
         self._second = 0
         self._in_second: Counter[str] = Counter()
 
-    def judge(self, verb: str, payload: bytes, *, retained: bool, now: float) -> Passed | Refused:
-        """Check `payload` on cmd/`verb` at `now`, Unix seconds."""
-        found = self._judge(verb, payload, retained, now)
+    def judge(self, user: str, verb: str, payload: bytes, *, retained: bool, now: float) -> Passed | Refused:
+        """Check `payload` on cmd/`user`/`verb` at `now`, Unix seconds."""
+        found = self._judge(user, verb, payload, retained, now)
         self.counts["passed" if isinstance(found, Passed) else found.code] += 1
         return found
 
-    def _judge(self, verb: str, payload: bytes, retained: bool, now: float) -> Passed | Refused:
+    def _judge(self, user: str, verb: str, payload: bytes, retained: bool, now: float) -> Passed | Refused:
         if retained:
             return Refused("retained", "A retained command is not executed: it may be outdated.")
         if len(payload) > LARGEST:
@@ -94,16 +100,17 @@ class CommandGate:
         try:
             document = json.loads(payload)
             command = Command.model_validate(document)
+            sender = f"{_USER.validate_python(user)}/{command.client}"
         except (ValidationError, ValueError, RecursionError):
             return Refused("malformed", "Not a command.")
-        who = (command.client, command.id)
+        who = (sender, command.id)
         if model is None:
             return Refused("malformed", f"There is no verb {verb[:40]!r}.", *who)
         try:
             arguments = model.model_validate(command.arguments, strict=True).model_dump()
         except ValidationError as error:
             return Refused("malformed", f"{verb}: {_words(error)}.", *who)
-        client = self._client(command.client)
+        client = self._client(sender)
         if command.id in client.known:
             return Refused("duplicate", "This command has already been received.", *who, again=True)
         if verb not in UNORDERED:
@@ -116,7 +123,7 @@ class CommandGate:
         elif self._count(f"{verb} {arguments}", now) > MOST_STOPS_A_SECOND:
             return Refused("flood", f"More than {MOST_STOPS_A_SECOND} stops per second.")
         client.known.append(command.id)
-        return Passed(verb, command.client, command.id, arguments)
+        return Passed(verb, sender, command.id, arguments)
 
     def _count(self, what: str, now: float) -> int:
         """How many there were of `what` in this second, with this one."""

@@ -60,8 +60,8 @@ class MqttThread:
         """For `upright status`."""
         return {**self._publisher.summary(), "commands": dict(self._inbox.gate.counts)}
 
-    def _take(self, verb: str, payload: bytes, retained: bool) -> None:
-        self._inbox.take(verb, payload, retained)
+    def _take(self, user: str, verb: str, payload: bytes, retained: bool) -> None:
+        self._inbox.take(user, verb, payload, retained)
 
     def _work(self) -> None:
         try:

@@ -17,6 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Number = float | None
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
+User = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.@-]{1,40}$")]
+"""A user of the broker, as part of a topic."""
 
 
 class Message(BaseModel):
@@ -344,7 +346,7 @@ def schemas() -> dict[str, dict[str, Any]]:
     made["status"] = {"title": "Status", "description": "Plain text, no JSON.", "enum": ["online", "offline"]}
     for verb, model in ARGUMENTS.items():
         whole = json.loads(json.dumps(made["cmd"]))
-        whole["title"] = f"cmd/{verb}"
+        whole["title"] = f"cmd/USER/{verb}"
         whole["properties"]["arguments"] = model.model_json_schema()
         if model.model_json_schema().get("required"):
             whole["required"] = [*whole["required"], "arguments"]

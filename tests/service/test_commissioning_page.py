@@ -144,7 +144,7 @@ class Vehicle:
         self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         self.client.on_message = self._on_message
         self.client.connect("127.0.0.1", port)
-        self.client.subscribe(f"{BASE}/cmd/experiment", qos=1)
+        self.client.subscribe(f"{BASE}/cmd/anyone/experiment", qos=1)
         self.client.loop_start()
         self.publish("status", "online")
         self.say()
@@ -172,12 +172,12 @@ class Vehicle:
         """The last reply to the experiment."""
         command = self.commands[-1]
         whole = {"id": command["id"], "code": "done", "text": "", "done": True, **reply}
-        self.client.publish(f"{BASE}/reply/{command['client']}", json.dumps(whole), qos=1).wait_for_publish(10.0)
+        self.client.publish(f"{BASE}/reply/anyone/{command['client']}", json.dumps(whole), qos=1).wait_for_publish(10.0)
 
     def _on_message(self, client: mqtt.Client, _: object, message: mqtt.MQTTMessage) -> None:
         command = json.loads(message.payload)
         reply = {"id": command["id"], "ok": True, "code": "accepted", "text": "", "done": False}
-        client.publish(f"{BASE}/reply/{command['client']}", json.dumps(reply), qos=1)
+        client.publish(f"{BASE}/reply/anyone/{command['client']}", json.dumps(reply), qos=1)
         self.commands.append(command)
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 from collections.abc import AsyncIterator, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from observer_harness import cycles, hello, record, until
 from estimators.disturbance_estimate import DisturbanceEstimate
 from service.mqtt import topics as mqtt_topics
 from service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
-from service.mqtt.embedded_broker import EmbeddedBroker
+from service.mqtt.embedded_broker import USER, EmbeddedBroker
 from service.mqtt.payloads import TelemetryBatches, methods, parameters
 from service.observer.client import ObserverClient
 from telemetry.samples import Frame
@@ -259,6 +260,30 @@ async def test_embedded_broker_keeps_retained_messages() -> None:
         assert json.loads(seen["upright/monocab/state"]) == STATE
         publisher.close()
         await running
+
+
+async def test_embedded_broker_takes_commands_with_its_password_only() -> None:
+    taken: list[tuple[str, str]] = []
+    topic = f"upright/monocab/cmd/{USER}/stop"
+    async with EmbeddedBroker() as broker:
+        config = MqttConfig.of(section(broker=broker.address, commands=True), "monocab")
+        assert config is not None
+        publisher = MqttPublisher(config, lambda user, verb, payload, retained: taken.append((verb, payload.decode())))
+        running = asyncio.create_task(publisher.run())
+        await until(lambda: publisher.statistics.connected)
+        host, _, port = broker.address.partition(":")
+        password = broker.password
+        for who in ((None, None), ("other", password), (USER, None), (USER, "guess"), (USER, password)):
+            with suppress(aiomqtt.MqttError):
+                async with aiomqtt.Client(host, int(port), username=who[0], password=who[1]) as client:
+                    await client.publish(topic, f"{who}", qos=1)
+        will = aiomqtt.Will(topic, "a last will", qos=1)
+        with pytest.raises(aiomqtt.MqttError):
+            await aiomqtt.Client(host, int(port), will=will).__aenter__()
+        await until(lambda: taken)
+        publisher.close()
+        await running
+    assert taken == [("stop", f"{(USER, password)}")]
 
 
 def batches(stamps: list[int], rate: float = 250.0) -> list[dict[str, Any]]:

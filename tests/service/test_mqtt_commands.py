@@ -6,13 +6,15 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import aiomqtt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mosquitto import OPERATOR, WATCHER, Mosquitto, Watcher
+from mosquitto import OPERATOR, STRANGER, WATCHER, Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
 from service.mqtt.commands import (
@@ -40,7 +42,8 @@ def command(identity: str = "1", *, client: str = "page", at: float = NOW, **arg
 
 def judge(gate: CommandGate, payload: bytes, verb: str = "experiment", **more: Any) -> str:
     """The verdict on a command: "passed" or the code of the refusal."""
-    found = gate.judge(verb, payload, retained=more.get("retained", False), now=more.get("now", NOW))
+    user, retained, now = more.get("user", "me"), more.get("retained", False), more.get("now", NOW)
+    found = gate.judge(user, verb, payload, retained=retained, now=now)
     return "passed" if isinstance(found, Passed) else found.code
 
 
@@ -49,8 +52,8 @@ def judge(gate: CommandGate, payload: bytes, verb: str = "experiment", **more: A
 
 def test_command_passes_with_its_arguments() -> None:
     gate = CommandGate()
-    found = gate.judge("experiment", command(name="step"), retained=False, now=NOW)
-    assert found == Passed("experiment", "page", "1", {"name": "step"})
+    found = gate.judge("me", "experiment", command(name="step"), retained=False, now=NOW)
+    assert found == Passed("experiment", "me/page", "1", {"name": "step"})
     assert gate.counts == {**dict.fromkeys(gate.counts, 0), "passed": 1}
 
 
@@ -71,7 +74,7 @@ def test_late_command_or_wrong_clock_is_refused_except_for_a_stop(seconds: float
 def test_repetition_is_refused_and_marked() -> None:
     gate = CommandGate()
     assert judge(gate, command(name="step")) == "passed"
-    again = gate.judge("experiment", command(name="step"), retained=False, now=NOW)
+    again = gate.judge("me", "experiment", command(name="step"), retained=False, now=NOW)
     assert isinstance(again, Refused)
     assert (again.code, again.again) == ("duplicate", True)
     assert judge(gate, command(client="other", name="step")) == "passed"  # ids are per client
@@ -83,6 +86,14 @@ def test_out_of_order_command_is_refused_except_for_a_stop() -> None:
     assert judge(gate, command("2", at=NOW - 0.5, name="step")) == "reordered"
     assert judge(gate, command("3", at=NOW - 0.5), "stop") == "passed"
     assert judge(gate, command("4", at=NOW - 0.5, client="other"), "renew") == "passed"
+
+
+def test_clients_of_different_users_are_different_whatever_they_call_themselves() -> None:
+    gate = CommandGate()
+    assert judge(gate, command("1", name="step")) == "passed"
+    assert judge(gate, command("1", at=NOW - 1.0), "renew", user="you") == "passed"  # neither repeated nor out of order
+    for user in ("", "you/page", "+", "#", "x" * 41, "\n"):
+        assert judge(gate, command("2"), "stop", user=user) == "malformed"
 
 
 @pytest.mark.parametrize(
@@ -145,7 +156,7 @@ def test_number_of_remembered_clients_is_bounded() -> None:
 @given(st.sampled_from([*ARGUMENTS, "other", ""]), st.binary(max_size=300), st.booleans())
 def test_no_payload_raises(verb: str, payload: bytes, retained: bool) -> None:
     gate = CommandGate()
-    gate.judge(verb, payload, retained=retained, now=NOW)
+    gate.judge("me", verb, payload, retained=retained, now=NOW)
     assert sum(gate.counts.values()) == 1
 
 
@@ -219,32 +230,34 @@ async def control(tmp_path: Path, broker: Mosquitto) -> AsyncIterator[Control]:
 async def test_command_passes_once_and_its_client_gets_the_reply(control: Control, broker: Mosquitto) -> None:
     async with Watcher(broker.port, OPERATOR) as page:
         payload = command("17", at=time.time(), name="step")
-        await page.publish("cmd/experiment", payload)
+        await page.publish(f"cmd/{OPERATOR}/experiment", payload)
         await until(lambda: control.commands)
-        assert control.commands == [{"verb": "experiment", "client": "page", "id": "17", "arguments": {"name": "step"}}]
+        (passed,) = control.commands
+        assert (passed["verb"], passed["client"], passed["id"]) == ("experiment", "dashboard/page", "17")
+        assert passed["arguments"] == {"name": "step"}
         reply = {"id": "17", "ok": True, "code": "accepted", "text": "", "done": False}
-        control.client.reply("page", reply)
-        await until(lambda: page.of("reply/page") == [reply])
-        await page.publish("cmd/experiment", payload)  # a repetition: answered again, not executed again
-        await until(lambda: page.of("reply/page") == [reply, reply])
+        control.client.reply("dashboard/page", reply)
+        await until(lambda: page.of("reply/dashboard/page") == [reply])
+        await page.publish(f"cmd/{OPERATOR}/experiment", payload)  # a repetition: answered again, not executed again
+        await until(lambda: page.of("reply/dashboard/page") == [reply, reply])
         assert len(control.commands) == 1
-        await page.publish("cmd/experiment", command("18", at=time.time() - 60.0, name="step"))
-        await until(lambda: page.of("reply/page")[-1]["code"] == "stale")
+        await page.publish(f"cmd/{OPERATOR}/experiment", command("18", at=time.time() - 60.0, name="step"))
+        await until(lambda: page.of("reply/dashboard/page")[-1]["code"] == "stale")
         for junk in (b"junk", b"x" * 2 * LARGEST, b'{"id": 1}'):
-            await page.publish("cmd/stop", junk)
-        await page.publish("cmd/stop", command("19", at=time.time()))
+            await page.publish(f"cmd/{OPERATOR}/stop", junk)
+        await page.publish(f"cmd/{OPERATOR}/stop", command("19", at=time.time()))
         await until(lambda: len(control.commands) == 2)
         assert control.commands[-1]["verb"] == "stop"
         await until(lambda: control.mqtt["commands"]["malformed"] == 2)
         counts = control.mqtt["commands"]
         assert (counts["passed"], counts["duplicate"], counts["stale"], counts["huge"]) == (2, 1, 1, 1)
-        assert all(TOPICS["reply"].model_validate(each) for each in page.of("reply/page"))
+        assert all(TOPICS["reply"].model_validate(each) for each in page.of("reply/dashboard/page"))
         assert all(not retained for topic, _, retained in page.messages if topic.startswith("reply"))
 
 
 async def test_retained_command_at_the_broker_is_refused(tmp_path: Path, broker: Mosquitto) -> None:
     async with Watcher(broker.port, OPERATOR) as page:
-        await page.publish("cmd/experiment", command(at=time.time(), name="step"), retain=True)
+        await page.publish(f"cmd/{OPERATOR}/experiment", command(at=time.time(), name="step"), retain=True)
         control = Control(tmp_path, broker, commands=True)
         await control.start()
         await until(lambda: control.mqtt["commands"]["retained"] == 1)
@@ -256,7 +269,7 @@ async def test_commands_are_off_unless_enabled(tmp_path: Path, broker: Mosquitto
     control = Control(tmp_path, broker)
     await control.start()
     async with Watcher(broker.port, OPERATOR) as page:
-        await page.publish("cmd/experiment", command(at=time.time(), name="step"))
+        await page.publish(f"cmd/{OPERATOR}/experiment", command(at=time.time(), name="step"))
         control.client.event("info", "marker", "after it")
         await until(lambda: page.of("event"))
         await asyncio.sleep(0.3)
@@ -269,14 +282,33 @@ async def test_viewer_cannot_send_commands_and_no_client_can_forge_the_state(
     control: Control, broker: Mosquitto
 ) -> None:
     async with Watcher(broker.port, WATCHER) as viewer, Watcher(broker.port, OPERATOR) as page:
-        await viewer.publish("cmd/stop", command("1", client="viewer", at=time.time()))
+        await viewer.publish("cmd/viewer/stop", command("1", client="viewer", at=time.time()))
         await viewer.publish("state", json.dumps({"mode": "forged"}))
         await page.publish("state", json.dumps({"mode": "forged"}))
-        await page.publish("cmd/stop", command("2", at=time.time()))
+        await page.publish(f"cmd/{OPERATOR}/stop", command("2", at=time.time()))
         await until(lambda: control.commands)
-        assert [each["client"] for each in control.commands] == ["page"]
+        assert [each["client"] for each in control.commands] == ["dashboard/page"]
         assert not [state for state in page.of("state") if state["mode"] == "forged"]
         assert not [topic for topic, _, _ in viewer.messages if topic.startswith(("cmd", "reply"))]
+
+
+async def test_commands_and_replies_of_another_user_cannot_be_forged(control: Control, broker: Mosquitto) -> None:
+    """A further operator, with a line of its own, as broker/acl says; an operator may not use the topics of before."""
+    broker.stop()
+    broker.add_operator(STRANGER)
+    broker.start()
+    await until(lambda: control.mqtt["connections"] == 2)
+    async with Watcher(broker.port, OPERATOR) as page, Watcher(broker.port, STRANGER) as other:
+        for topic in (f"cmd/{OPERATOR}/renew", "cmd/renew", f"cmd/{STRANGER}/{OPERATOR}/renew", "cmd/+/renew"):
+            with suppress(aiomqtt.MqttError, ValueError):
+                await other.publish(topic, command("1", at=time.time()))
+        await other.publish(f"cmd/{STRANGER}/renew", command("2", at=time.time()))
+        await page.publish(f"reply/{STRANGER}/page", json.dumps({"id": "2", "ok": True}))
+        await until(lambda: control.commands)
+        await page.publish(f"cmd/{OPERATOR}/renew", command("3", at=time.time()))
+        await until(lambda: len(control.commands) == 2)
+        assert [each["client"] for each in control.commands] == ["stranger/page", "dashboard/page"]
+        assert not [topic for topic, _, _ in page.messages if topic.startswith("reply")]
 
 
 async def test_tls_connects_only_to_a_broker_with_a_trusted_certificate(tmp_path: Path) -> None:
@@ -360,7 +392,6 @@ async def test_published_predictions_are_close_to_the_measurement(control: Contr
 
 
 async def test_home_assistant_finds_its_sensors(control: Control, broker: Mosquitto) -> None:
-    import aiomqtt
     from mosquitto import PASSWORDS
 
     name = "homeassistant"

@@ -45,13 +45,20 @@ class Mosquitto:
         subprocess.run([_command("mosquitto_passwd"), "-U", passwords], check=True)
         self.ca_file = folder / "ca.pem"
         (folder / "password").write_text(PASSWORDS[PUBLISHER] + "\nignored\n")
+        self._acl = folder / "acl"
+        self._acl.write_text(ACL.read_text())
         self._config = folder / "mosquitto.conf"
         self._config.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {ACL}\n"
+            f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {self._acl}\n"
             "persistence false\nlog_dest stderr\n"
             + (_certificates(folder) if tls else "")
             + "user root\n"  # Started by root, it would become a user that cannot read this folder; else no effect.
         )
+
+    def add_operator(self, user: str) -> None:
+        """A further user who may give commands, from the next start on."""
+        lines = f"user {user}\ntopic read upright/#\ntopic write upright/+/cmd/{user}/+\n"
+        self._acl.write_text(f"{ACL.read_text()}\n{lines}")
 
     @property
     def address(self) -> str:

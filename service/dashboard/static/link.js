@@ -62,7 +62,7 @@ export function newest(message) {
 
 export class Link {
   constructor(config, handlers) {
-    this.client = `page-${random()}`;
+    this.page = `page-${random()}`;
     this.ignored = { malformed: 0, huge: 0, reordered: 0 };
     this.online = false; // the vehicle's own status, or its last will
     this.connected = false;
@@ -82,10 +82,19 @@ export class Link {
     addEventListener("pagehide", () => this.release());
   }
 
+  // The user at the broker: its access list lets everybody give commands under the own name only.
+  get user() {
+    return this.login.username || "anyone";
+  }
+
+  get client() {
+    return `${this.user}/${this.page}`;
+  }
+
   open() {
     this.socket?.end(true);
     const socket = this.socket = mqtt.connect(this.config.websocket, {
-      ...this.login, clientId: this.client, clean: true, keepalive: 10, reconnectPeriod: 1000, connectTimeout: 5000,
+      ...this.login, clientId: this.page, clean: true, keepalive: 10, reconnectPeriod: 1000, connectTimeout: 5000,
       queueQoSZero: false, resubscribe: false, timerVariant: "native",
       writeCache: false, // otherwise mqtt.js keeps a buffer for each number up to 65535: 8 MB
     });
@@ -166,8 +175,8 @@ export class Link {
 
   send(verb, args = {}, qos = 1) {
     const id = random();
-    this.socket.publish(`${this.config.topic}/cmd/${verb}`,
-      JSON.stringify({ id, client: this.client, timestamp: Date.now() / 1000, arguments: args }), { qos });
+    this.socket.publish(`${this.config.topic}/cmd/${this.user}/${verb}`,
+      JSON.stringify({ id, client: this.page, timestamp: Date.now() / 1000, arguments: args }), { qos });
     return id;
   }
 
