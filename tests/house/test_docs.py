@@ -41,6 +41,13 @@ def test_every_link_has_a_target(page: Path) -> None:
     assert not missing
 
 
+def test_every_test_that_the_security_page_names_exists() -> None:
+    named = set(re.findall(r"\b(test_\w+)`", (DOCS / "explanation" / "security.md").read_text()))
+    tests = "\n".join(path.read_text() for path in (REPOSITORY / "tests").rglob("test_*.py"))
+    assert len(named) > 20
+    assert not {name for name in named if f"def {name}(" not in tests}
+
+
 @pytest.mark.parametrize("kind", registry.names())
 def test_every_key_of_a_vehicle_file_is_explained(kind: str) -> None:
     page = _pages("reference/vehicle-file.md", f"vehicles/{kind}.md")
