@@ -198,6 +198,16 @@ def serve(
     mqtt: Annotated[
         str | None, typer.Option("--mqtt", help="Broker, HOST:PORT.", show_default="the vehicle file's")
     ] = None,
+    metrics: Annotated[
+        int,
+        typer.Option(
+            "--metrics",
+            envvar="UPRIGHT_METRICS",
+            min=0,
+            max=65535,
+            help="Serve metrics for Prometheus at this port of this machine, at /metrics; 0: do not.",
+        ),
+    ] = 0,
     virtual: Annotated[
         bool,
         typer.Option("--virtual", help="Use a virtual vehicle instead of a bus, in real time."),
@@ -240,10 +250,11 @@ def serve(
         imu_bus=imu,
         data=data or Path(os.environ.get("STATE_DIRECTORY", "recordings")),
         socket=socket or default_socket(file.vehicle.id),
+        metrics_port=metrics,
     )
 
     async def run() -> None:
-        daemon = Daemon(file, places, lock_step=virtual)
+        daemon = Daemon(file, places, lock_step=virtual, alone=True)
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup, where a closed terminal ends nothing

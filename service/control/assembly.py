@@ -74,8 +74,8 @@ def roll_filter(vehicle: VehicleFile) -> RollFilter:
     )
 
 
-def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str]) -> dict[str, Any]:
-    """The data about the vehicle that the observer process needs."""
+def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str], metrics_port: int = 0) -> dict[str, Any]:
+    """The data about the vehicle that the observer process needs. `metrics_port` is 0 if nobody scrapes metrics."""
     return {
         "vehicle": vehicle.vehicle.id,
         "kind": vehicle.vehicle.kind,
@@ -87,6 +87,7 @@ def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str]) -
         "mqtt": vehicle.mqtt.model_dump(),
         "data": str(data),
         "raw_log_buses": raw_log_buses,
+        "metrics_port": metrics_port,
     }
 
 

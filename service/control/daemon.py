@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import logging
 import time
 from dataclasses import asdict, dataclass
@@ -22,7 +21,7 @@ from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.cia402.setup import DriveReport, Supervision, configure
 from drivers.imu_format import check_format
 from drivers.socketcan import start_clock
-from service.control import assembly
+from service.control import assembly, realtime
 from service.control.commands import Commands
 from service.control.health import HealthReports
 from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
@@ -55,23 +54,29 @@ CONFIRMATION = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """The daemon's interfaces: one or two bus addresses, the folder of the recordings and the control socket."""
+    """The daemon's interfaces: one or two bus addresses, the folder of the recordings, the control socket, and the port
+    for metrics on this computer (0: none)."""
 
     drives_bus: str
     imu_bus: str
     data: Path
     socket: Path
+    metrics_port: int = 0
 
 
 class Daemon:
     """One vehicle, served until `stop()`.
 
     `lock_step` is for a simulated bus whose time is not the wall clock's: there is no wall-clock deadline then.
+    If it is `alone` in its process, garbage collection and memory of the process are set up for it
+    (`service.control.realtime`).
     """
 
-    def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False) -> None:
+    def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False, alone: bool = False) -> None:
         self.vehicle = vehicle
         self.places = places
+        self._lock_step = lock_step
+        self._alone = alone
         self._log = logging.getLogger(__name__)
         self._notifier = Notifier.from_environment()
         self._stopping = asyncio.Event()
@@ -84,7 +89,7 @@ class Daemon:
         self._status_until = 0.0
         self._clock = start_clock()
         self._clock_steps = 0
-        hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses())
+        hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses(), places.metrics_port)
         hello["clock_base_ns"] = self._clock.base_ns
         self._turns = Turns()
         self.observer = ObserverClient(hello, lossless=lock_step, turns=self._turns)
@@ -132,8 +137,7 @@ class Daemon:
             self._publish_state()
             await self._api.start()
             self.loop.start()
-            gc.collect()
-            gc.freeze()
+            self._settle()
             keeper = asyncio.create_task(self._keep_vehicle_ready(), name="keep vehicle ready")
             self._notifier.ready(f"serving {self.vehicle.vehicle.id} on {self.places.drives_bus}, disarmed")
             stopping = asyncio.create_task(self._stopping.wait(), name="wait for stop")
@@ -174,6 +178,17 @@ class Daemon:
         if self._buses is not None:
             self._buses.close()
             self._buses = None
+
+    def _on_frames(self, frames: list[CanFrame]) -> None:
+        """The loop's work on the frames of one wake-up, and how long it took."""
+        loop, began_ns = self.loop, time.monotonic_ns()
+        cycles = loop.cycles
+        loop.on_frames(frames)
+        if loop.cycles != cycles:
+            ended_ns = time.monotonic_ns()
+            loop.timing.processing.add((ended_ns - began_ns) * 1e-9)
+            if not self._lock_step:
+                loop.timing.turnaround.add((ended_ns + self._clock.base_ns - loop.last_ns) * 1e-9)
 
     def _send(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
         if self._buses is not None:
@@ -220,6 +235,7 @@ class Daemon:
             self._report_clock()
             self._publish_state()
             self._publish_health()
+            self._collect_garbage()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)
 
@@ -231,6 +247,7 @@ class Daemon:
                 self._open_buses()
             except BusError as error:
                 self.loop.set_up_failed(str(error))
+                self._collect_garbage()
                 await asyncio.sleep(RECONNECT_PERIOD)
             else:
                 return
@@ -266,6 +283,18 @@ class Daemon:
             reports.append(report)
         self.reports = reports
 
+    def _settle(self) -> None:
+        """Set up this process for its loop, if it has no other work. Refused memory is an event, not a failure."""
+        trouble = realtime.settle(lock=not self._lock_step) if self._alone else ""
+        if trouble:
+            self._log.warning("%s", trouble)
+            self.observer.event("warning", "memory_not_locked", trouble)
+
+    def _collect_garbage(self) -> None:
+        """Between two cycles, since nothing else does."""
+        if self._alone:
+            realtime.collect(running=self.loop.mode is Mode.RUNNING)
+
     def _report_clock(self) -> None:
         if self._clock.steps != self._clock_steps:
             self._clock_steps = self._clock.steps
@@ -291,6 +320,21 @@ class Daemon:
         buses = self._buses.statistics() if self._buses is not None else []
         report = self._health.report(time.monotonic(), self.loop.cycles, self.loop.missed_cycles, buses)
         self.observer.health({**report, "nearest_limit": self.loop.nearest_limit()})
+        if self.places.metrics_port:
+            self.observer.figures(self._figures(buses))
+
+    def _figures(self, buses: list[dict[str, Any]]) -> dict[str, Any]:
+        """What `service.observer.metrics` makes its text of."""
+        return {
+            "modes": list(Mode),
+            "mode": self.loop.mode,
+            "cycles": self.loop.cycles,
+            "missed_cycles": self.loop.missed_cycles,
+            "clock_steps": self._clock.steps,
+            "observer_dropped": self.observer.statistics()["frames_dropped"],
+            "buses": buses,
+            "timing": self.loop.timing.to_json(),
+        }
 
     async def _end_in_order(self) -> None:
         self.loop.end_experiment("the daemon is being stopped")
@@ -321,6 +365,7 @@ class Daemon:
             "cycles": self.loop.cycles,
             "missed_cycles": self.loop.missed_cycles,
             "nearest_limit": self.loop.nearest_limit(),
+            "timing": self.loop.timing.to_json(),
             "clock": self._clock.status(),
             "foreign": self.loop.foreign.statistics() + self.loop.bus_watch.statistics(),
             "observer": self.observer.statistics(),

@@ -34,6 +34,7 @@ from service.control.rows import row
 from service.control.safety import Safety
 from service.control.sequence import ExperimentRun, plan
 from service.control.stop_check import CYCLES, Stop, StopCheck
+from service.control.timing import Timing
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame, ImuSample
 from vehicles import registry
@@ -135,6 +136,7 @@ class ControlLoop:
         self.run: ExperimentRun | None = None
         self.cycles = 0
         self.missed_cycles = 0
+        self.timing = Timing(vehicle.period)
         self.lean: Lean | None = None
         self.drives: Measurement = self.kind.measure()
         self.on_change: Callable[[], None] = lambda: None
@@ -228,6 +230,8 @@ class ControlLoop:
             self._transmit(command, now_ns)
         if drives.timestamp_ns:
             self._observer.offer(row(self.kind, attitude, drives, command, self._phase))
+        if self.cycles:
+            self.timing.interval.add(elapsed)
         self.cycles += 1
         if elapsed > 1.5 * self._period:
             self.missed_cycles += 1
@@ -425,6 +429,11 @@ class ControlLoop:
         self.fault = Fault(code, reason)
         self._finish_run(Mode.FAULT, code, reason)
         self._observer.event("error", code, reason)
+
+    @property
+    def last_ns(self) -> int:
+        """Time of the latest sample."""
+        return self._last_ns
 
     @property
     def _now_ns(self) -> int:

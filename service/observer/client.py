@@ -229,6 +229,10 @@ class ObserverClient:
         """Send the health of the control process, which is published with the telemetry."""
         self._post("health", health=report)
 
+    def figures(self, figures: dict[str, Any]) -> None:
+        """Send the figures for whoever scrapes metrics."""
+        self._post("figures", figures=figures)
+
     def reply(self, client: str, reply: dict[str, Any]) -> None:
         """Send the answer to a command received by MQTT."""
         self._post("reply", client=client, reply=reply)

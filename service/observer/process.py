@@ -23,7 +23,7 @@ import threading
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from service.beside import beside
 from service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
@@ -31,6 +31,7 @@ from service.mqtt.home_assistant import discovery
 from service.mqtt.payloads import TelemetryBatches, methods, parameters
 from service.mqtt.thread import MqttThread
 from service.observer import link
+from service.observer.cpus import leave_to_control
 from service.observer.live_prediction import LivePrediction, live_prediction
 from service.observer.news import News
 from service.observer.online_estimators import EstimatorBank, online_estimators
@@ -39,6 +40,9 @@ from service.observer.storage_check import obstacle
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame
 from vehicles import registry
+
+if TYPE_CHECKING:
+    from service.observer.metrics import Metrics
 
 NICENESS = 5
 
@@ -99,6 +103,7 @@ class Observer:
         self._telemetry = TelemetryBatches(self._channels.names, hello["rate"], hello["mqtt"]["telemetry_rate"])
         self._new_prediction = partial(live_prediction, hello, self._channels)
         self._prediction: LivePrediction | None = None
+        self._metrics: Metrics | None = None
         self._mqtt: MqttThread | None = None
         try:
             config = MqttConfig.of(hello["mqtt"], hello["vehicle"])
@@ -108,6 +113,8 @@ class Observer:
                 self._mqtt = MqttThread(config, self._forward, announced if hello["mqtt"]["home_assistant"] else ())
         except MqttConfigError as error:
             self._report_error("mqtt", str(error))
+        if hello["metrics_port"]:
+            self._serve_metrics(hello)
 
     async def run(self) -> None:
         """Run until the pipe ends, or until an error outside of MQTT; in both cases the recording is completed."""
@@ -193,6 +200,8 @@ class Observer:
                 self._mqtt.publish(topic, message)
             case "health":
                 self._telemetry.health(message["health"])
+            case "figures" if self._metrics is not None:
+                self._metrics.report(message["figures"])
             case "reply" if self._mqtt is not None:
                 self._mqtt.reply(message["client"], message["reply"])
 
@@ -338,6 +347,17 @@ class Observer:
             for text in self._news.of(diagnosis):
                 self._mqtt.publish("event", {"severity": "warning", "code": "missing_effect", "text": text})
 
+    def _serve_metrics(self, hello: Mapping[str, Any]) -> None:
+        from service.observer.metrics import Metrics, MetricsServer  # an HTTP server, which most do not need
+
+        self._metrics = Metrics(hello["vehicle"], hello["version"])
+        try:
+            MetricsServer(hello["metrics_port"], self._metrics.text)
+        except OSError as error:
+            place = f"port {hello['metrics_port']} of this computer"
+            text = f"no metrics at {place}: {error.strerror}; give another one with --metrics PORT"
+            self._report_error("metrics", text)
+
     def _report_error(self, code: str, text: str) -> None:
         """Report an error to the log, the broker and, with the next report, to control."""
         logging.getLogger(__name__).error("%s", text)
@@ -371,6 +391,7 @@ def main(descriptor: int) -> None:
     # Only the end of the pipe ends this process: a stopped service first ends its experiment, which shall be recorded.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    leave_to_control()
     sys.setswitchinterval(SWITCH_INTERVAL)
     logging.basicConfig(format="%(name)s: %(message)s")
     with socket.socket(fileno=descriptor) as connection:

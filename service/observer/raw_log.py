@@ -25,6 +25,7 @@ from typing import IO
 from drivers.frame_clock import FrameClock
 from drivers.socketcan import start_clock
 from service.observer.can_tap import CanTap
+from service.observer.cpus import leave_to_control
 from telemetry.candump import format_frames
 from telemetry.samples import CanFrame
 
@@ -141,6 +142,7 @@ def main(channels: Sequence[str], base_ns: int | None = None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.nice(NICENESS)
+    leave_to_control()
     log = RawLog(channels, base_ns)
     orders = Orders()
     while True:

@@ -35,6 +35,8 @@ from service.control.server import (
 from service.turns import MOST_A_TURN, Turns
 from vehicles.file import load
 
+FIRST = f"terminal 1 of {Peer(1, os.geteuid(), frozenset()).name}"
+
 
 class Rig:
     """A server whose turns are taken by hand, and clients that are processes of their own for it, if they say so."""
@@ -159,7 +161,7 @@ async def test_renewals_get_through_while_others_hammer_and_send_signs_that_coun
         before = len(rig.signs)
 
         def heard(before: int = before) -> bool:
-            return any(sign["client"] == "terminal 1" for sign in rig.signs[before:])
+            return any(sign["client"] == FIRST for sign in rig.signs[before:])
 
         turns = await rig.turn_until(heard, MOST_CONNECTIONS // MOST_A_TURN + 2)
         assert len(rig.signs) - before <= turns * MOST_A_TURN
@@ -184,8 +186,8 @@ async def test_garbage_from_the_holder_of_a_lease_ends_its_answer(rig: Rig) -> N
     holder = await rig.accept(1, b'{"verb": "experiment"}\n')
     await rig.turn_until(lambda: rig.begun, 3)
     holder.send(b"garbage\n")
-    await rig.turn_until(lambda: rig.closed == ["terminal 1"], 3)
-    assert rig.signs == [{"verb": "gone", "client": "terminal 1"}]
+    await rig.turn_until(lambda: rig.closed == [FIRST], 3)
+    assert rig.signs == [{"verb": "gone", "client": FIRST}]
 
 
 async def test_client_that_never_reads_is_disconnected_and_its_memory_bounded(rig: Rig) -> None:
