@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, benchmark, commission, dashboard, design, live, multisine, talk, vehicle
+from service.cli import batch, benchmark, commission, dashboard, design, doctor, live, multisine, talk, vehicle
 from service.cli.models import shown as model
 from telemetry.errors import UprightError
 
@@ -37,6 +37,7 @@ vehicle.register(app)
 model.register(app)
 benchmark.register(app)
 dashboard.register(app)
+doctor.register(app)
 
 
 def main() -> None:
