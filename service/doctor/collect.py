@@ -328,7 +328,7 @@ def _group(path: Path) -> str:
     while True:
         try:
             return path.group()
-        except (PermissionError, KeyError):
+        except (OSError, KeyError):
             path = path.parent
 
 

@@ -8,11 +8,13 @@ Python may lie in either. All other hardening, and the user upright, are as ship
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -188,3 +190,45 @@ def test_daemon_stopped_during_an_experiment_exits_cleanly_and_keeps_the_recordi
     assert (_show("Result"), _show("ExecMainStatus"), _show("ActiveState")) == ("success", "0", "inactive")
     assert not SOCKET.exists()
     assert list(Path("/var/lib/upright").glob("*.arrow")), "the recording of the interrupted experiment is kept"
+
+
+@pytest.fixture
+def drop_ins() -> Iterator[None]:
+    """The shipped drop-ins, with the processor that the guest has, and time to start on it beside all else."""
+    folder = Path("/etc/systemd/system/upright.service.d")
+    shipped = REPOSITORY / "systemd" / "upright.service.d"
+    texts = {name: (shipped / name).read_text() for name in ("realtime.conf", "cpu.conf", "metrics.conf")}
+    texts["cpu.conf"] = texts["cpu.conf"].replace("CPUAffinity=3", "CPUAffinity=0").replace("CPUS=0-2", "CPUS=0")
+    texts["patience.conf"] = "[Service]\nTimeoutStartSec=90\n"
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    _run("systemctl", "daemon-reload")
+    yield
+    for name in texts:
+        (folder / name).unlink()
+    _run("systemctl", "daemon-reload")
+
+
+def test_drop_ins_give_priority_and_locked_memory_to_the_control_process_alone(
+    drop_ins: None, service: dict[str, Any]
+) -> None:
+    assert _run("systemd-analyze", "verify", "upright.service") == ""
+    control = int(_show("MainPID"))
+    helpers = [int(pid) for pid in _run("pgrep", "--parent", str(control)).split()]
+    assert len(helpers) == 2, "the observer and the raw log"
+    policies = {pid: os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK for pid in (control, *helpers)}
+    assert policies == {control: os.SCHED_FIFO, **dict.fromkeys(helpers, os.SCHED_OTHER)}
+    locked = {pid: re.search(r"VmLck:\s+(\d+)", Path(f"/proc/{pid}/status").read_text()) for pid in policies}
+    assert all(locked.values())
+    kilobytes = {pid: int(found[1]) for pid, found in locked.items() if found}
+    assert kilobytes[control] > 20_000
+    assert not any(kilobytes[pid] for pid in helpers)
+    assert "not locked" not in _journal()
+
+    done = subprocess.run([UPRIGHT, "doctor", VEHICLE, "--json"], capture_output=True, text=True, timeout=60)
+    found = {each["check"]: each["status"] for each in json.loads(done.stdout)["checks"]}
+    assert {name: found[name] for name in ("realtime", "memory", "unit", "permissions")} == dict.fromkeys(
+        ("realtime", "memory", "unit", "permissions"), "ok"
+    ), done.stdout
+    with urllib.request.urlopen("http://127.0.0.1:9464/metrics", timeout=10) as answer:
+        assert b'upright_cycle_turnaround_seconds_bucket{le="+Inf"}' in answer.read()

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import json
+import os
 import re
+import socket
+from collections.abc import AsyncGenerator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from service.cli import app
-from service.control.loop import Mode
+from service.control import api
 from service.doctor import collect
 from service.doctor.checks import CHECKS, Finding, Status, examine, worst
 from service.doctor.collect import Subject
@@ -238,16 +243,30 @@ def test_command_exits_with_1_for_a_problem_and_prints_one_document(tmp_path: Pa
 
 
 async def test_running_daemon_is_asked_for_its_process_and_its_data(tmp_path: Path) -> None:
-    import asyncio
-    import os
+    status = {"version": "1.2", "data": str(tmp_path), "observer": {"obstacle": "Nothing would be recorded: full."}}
 
-    from serving import serving
+    async def answer(request: api.Message) -> AsyncGenerator[api.Message]:
+        yield api.result(api.ExitCode.DONE, status=status)
 
-    async with serving(tmp_path, "virtual:doctor") as daemon:
-        subject = Subject("monocab", tmp_path / "s.sock")
-        facts, status = await asyncio.to_thread(collect.collect, subject)
-        assert isinstance(facts.daemon, Process)
-        assert facts.daemon.pid == os.getpid()
-        assert status["mode"] == Mode.DISARMED
-        assert isinstance(facts.disk, Disk)
-        assert facts.disk.folder == str(daemon.places.data)
+    daemon = api.ApiServer(tmp_path / "s.sock", answer)
+    await daemon.start()
+    try:
+        facts, found = await asyncio.to_thread(collect.collect, Subject("monocab", tmp_path / "s.sock"))
+    finally:
+        await daemon.close()
+    assert found == status
+    assert isinstance(facts.daemon, Process)
+    assert (facts.daemon.pid, facts.daemon.version) == (os.getpid(), "1.2")
+    assert isinstance(facts.disk, Disk)
+    assert (facts.disk.folder, facts.disk.obstacle) == (str(tmp_path), "Nothing would be recorded: full.")
+    assert judge("versions", facts).status is Status.WARNING
+
+
+def test_socket_of_somebody_else_is_refused_with_its_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: socket.socket, address: str) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    place = tmp_path / "s.sock"
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    access = collect._access([place], None)
+    assert access.refused == ((str(place), "Permission denied", tmp_path.group()),)

@@ -21,13 +21,16 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from observer_harness import hello
 from served import free_port
 from serving import steady
 
 from service.control import api, realtime
 from service.control.timing import TIMES, Histogram, Timing
+from service.observer import link
 from service.observer.cpus import VARIABLE, leave_to_control, processors
 from service.observer.metrics import Metrics, MetricsServer
+from service.observer.process import Observer
 from service.virtual.run import ClosedLoop
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
@@ -160,6 +163,15 @@ def test_daemon_exports_its_times_by_its_observer(tmp_path: Path) -> None:
     assert 0.0 < found["upright_cycle_processing_seconds_sum"] / found["upright_cycle_processing_seconds_count"] < 1.0
     assert found["upright_cycle_turnaround_seconds_count"] == 0.0, "simulated time is not that of this computer"
     assert sum(status["timing"]["interval"]["counts"]) >= found["upright_cycle_interval_seconds_count"]
+
+
+async def test_taken_port_is_reported_and_the_observer_goes_on(tmp_path: Path) -> None:
+    own, other = link.pair()
+    with own, other, socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        observer = Observer(other, {**hello(tmp_path), "metrics_port": port})
+        assert f"no metrics at port {port}" in observer._trouble
+        assert "--metrics PORT" in observer._trouble
 
 
 # What keeps the control process from being held up
