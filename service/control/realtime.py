@@ -7,9 +7,9 @@ beyond it would fail in the middle of a run.
 
 **Garbage.** What exists after the set-up stays, and is taken out of the collector's sight (gc.freeze). The automatic
 collection is switched off: it strikes in the middle of a cycle. `collect` is called between cycles instead. Cyclic
-garbage comes from setting up drives and from exceptions, hardly from cycles: 5,000 of them left none. So at rest
-everything is collected each time, in a fraction of a ms, and during an experiment only beyond `MOST_YOUNG` objects,
-which bounds the memory however long an experiment lasts.
+garbage comes from setting up drives and from exceptions, and none from cycles. So at rest everything is collected each
+time, in a fraction of a ms, and during an experiment only beyond `MOST_YOUNG` objects, which bounds the memory however
+long an experiment lasts.
 
 **Threads.** One that computes, as the design of a controller does, yields to the loop after `SWITCH_INTERVAL`; Python's
 own 5 ms are more than a cycle.

@@ -12,7 +12,7 @@ import json
 import os
 import stat
 import tarfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -90,18 +90,21 @@ class Packed:
 
 def known_secrets(wanted: Wanted) -> tuple[set[str], list[str]]:
     """The values that must not get into the archive, and the files with others that could not be read."""
-    environments, words = [wanted.environment], []
+    environments = [wanted.environment]
     if wanted.daemon is not None:
         with suppress(OSError):
             environments.append(_variables(Path(f"/proc/{wanted.daemon}/environ").read_text(errors="replace"), "\0"))
-        with suppress(OSError):
-            words = Path(f"/proc/{wanted.daemon}/cmdline").read_text(errors="replace").split("\0")
     with suppress(OSError):
         environments.append(_variables(ENVIRONMENT_FILE.read_text(errors="replace"), "\n"))
     found, files = set[str](), set[str]()
     for environment in environments:
         found |= secrets.of_environment(environment)
-        files |= secrets.files_of(environment, words)
+        files |= secrets.files_of(environment)
+    for place in Path("/proc").glob("[0-9]*/cmdline"):  # daemon, page, and whatever else of upright runs here
+        with suppress(OSError):
+            words = place.read_text(errors="replace").split("\0")
+            if any("upright" in word or "service.cli" in word for word in words):
+                files |= secrets.files_on(words)
     if wanted.vehicle is not None and wanted.vehicle.mqtt.password_file:
         files.add(wanted.vehicle.mqtt.password_file)
     elif wanted.vehicle is None and wanted.vehicle_path is not None:
@@ -284,6 +287,9 @@ class _Archive:
 
 def _recordings(folder: Path) -> Iterator[Path]:
     """The recordings in a folder, without suffix, the newest first."""
-    found: Iterable[Path] = folder.glob("*.arrow")
-    for path in sorted(found, key=lambda path: (path.lstat().st_mtime, path.name), reverse=True):
-        yield path.with_suffix("")
+    found = []
+    for path in folder.glob("*.arrow"):
+        with suppress(FileNotFoundError):  # somebody tidies up
+            found.append((path.lstat().st_mtime, path.with_suffix("")))
+    for _, stem in sorted(found, reverse=True):
+        yield stem

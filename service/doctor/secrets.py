@@ -149,9 +149,14 @@ def files_in(text: str) -> set[str]:
     return set(_FILE.findall(text))
 
 
-def files_of(environment: Mapping[str, str], words: Iterable[str]) -> set[str]:
-    """The files with secrets that variables and a command line name, as $TOKEN_FILE and `--password-file FILE`."""
-    found = {value for name, value in environment.items() if is_secret_name(name) and name.upper().endswith("FILE")}
+def files_of(environment: Mapping[str, str]) -> set[str]:
+    """The files with secrets that variables name, as $TOKEN_FILE."""
+    return {value for name, value in environment.items() if is_secret_name(name) and name.upper().endswith("FILE")}
+
+
+def files_on(words: Iterable[str]) -> set[str]:
+    """The files with secrets that a command line names, as `--password-file FILE`."""
+    found = set[str]()
     before = ""
     for word in words:
         name, equals, value = word.partition("=")

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from service.cli import app
 from service.doctor.bundle import BundleError, Wanted, pack
-from service.doctor.secrets import REMOVED, Redactor
+from service.doctor.secrets import REMOVED, Redactor, files_of, files_on, of_environment
 from vehicles.file import load, shipped_file
 
 BROKER, TOKEN, LOGGED, COMMENT = "br0ker/pass&wörd", "t0ken-of-env-4711", "l0gged-secret-9", "c0mment-secret-8"
@@ -211,3 +211,10 @@ def test_known_secret_is_removed_wherever_it_stands(secret: str, before: str, af
 )
 def test_harmless_line_stays_as_it_is(line: str) -> None:
     assert Redactor(["s3cret"]).text(line) == line
+
+
+def test_files_with_secrets_are_found_on_command_lines_and_in_variables() -> None:
+    words = ["upright", "dashboard", "--password-file", "/a", "--port", "1", "--token-file=/b"]
+    assert files_on(words) == {"/a", "/b"}
+    assert files_of({"MQTT_PASSWORD_FILE": "/c", "MQTT_PASSWORD": "d", "LOG_FILE": "/e"}) == {"/c"}
+    assert of_environment({"MQTT_PASSWORD_FILE": "/c", "MQTT_PASSWORD": "d", "LOG_FILE": "/e"}) == {"d"}

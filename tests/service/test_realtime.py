@@ -192,6 +192,23 @@ def test_garbage_is_collected_at_rest_and_during_a_run_only_when_there_is_much(m
     assert len(collections) == 2
 
 
+def test_cycles_of_a_run_leave_no_garbage_for_the_collector() -> None:
+    closed = ClosedLoop(steady())
+    closed.until(lambda: not closed.loop.interlocks(), 5.0)
+    closed.loop.start_experiment("hold")
+    closed.advance(0.5)
+    before, enabled = closed.loop.cycles, gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        closed.advance(1.2)
+        assert gc.collect() == 0
+    finally:
+        if enabled:
+            gc.enable()
+    assert closed.loop.cycles - before > 250
+
+
 SETTLED = """
 import gc, resource, sys
 from service.control import realtime
