@@ -232,12 +232,14 @@ def serve(
     from service.bounded_log import bounded_log
     from service.control.api import default_socket
     from service.control.daemon import Daemon, Places
+    from service.journal import log_as
     from service.virtual.passenger import passenger
     from service.virtual.serving import BUS, virtual_vehicle_beside
     from service.virtual.vehicle import requested_disturbance
     from vehicles.file import load
 
     file = load(vehicle)
+    log_as(file.vehicle.id)
     if mqtt is not None:
         file = file.model_copy(update={"mqtt": file.mqtt.model_copy(update={"broker": mqtt})})
     if virtual and bus:

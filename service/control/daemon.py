@@ -303,6 +303,8 @@ class Daemon:
             self.observer.event("warning", "clock_step", text)
 
     def _on_observer_exit(self, status: int) -> None:
+        text = f"the observer process ended with status {status}, and is started again"
+        self._log.error("%s", text, extra={"fields": {"UPRIGHT_CODE": "observer"}})
         self.loop.observer_gone()
 
     def _publish_state(self) -> None:

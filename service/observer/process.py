@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.beside import beside
+from service.journal import EVENTS, LEVELS, log_as
 from service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
 from service.mqtt.home_assistant import discovery
 from service.mqtt.payloads import TelemetryBatches, methods, parameters
@@ -93,6 +94,8 @@ class Observer:
         self._news = News()
         self._published: Mapping[str, Any] | None = None
         self._recorder: Recorder | None = None
+        self._experiment = ""
+        self._state: dict[str, Any] = {}
         self._end: dict[str, str] = {}
         self._end_timer: asyncio.TimerHandle | None = None
         self._writing = asyncio.Lock()
@@ -194,10 +197,12 @@ class Observer:
                 self._start_recording(message)
             case "stop_recording":
                 self._stop_recording(message)
-            case "retain" if self._mqtt is not None:
-                self._mqtt.retain(message["topic"], message["document"])
-            case "progress" | "event" as topic if self._mqtt is not None:
-                self._mqtt.publish(topic, message)
+            case "retain":
+                self._retain(message["topic"], message["document"])
+            case "event":
+                self._event(**message)
+            case "progress" if self._mqtt is not None:
+                self._mqtt.publish("progress", message)
             case "health":
                 self._telemetry.health(message["health"])
             case "figures" if self._metrics is not None:
@@ -216,6 +221,7 @@ class Observer:
             self._estimators.join()
         raw_buses = RAW_BUSES if order["raw_log"] else ()
         stem = Path(order["stem"])
+        self._experiment = order["metadata"].get("experiment", "")
         try:
             self._recorder = Recorder(stem, self._channels, order["start_ns"], order["metadata"], raw_buses)
         except OSError as error:
@@ -244,7 +250,7 @@ class Observer:
 
     def _close_recording(self) -> None:
         """Get the final results, and write the rest of the file."""
-        recorder, self._recorder = self._recorder, None
+        recorder, self._recorder, self._experiment = self._recorder, None, ""
         end, self._end = self._end, {}
         if self._end_timer is not None:
             self._end_timer.cancel()
@@ -345,7 +351,7 @@ class Observer:
             self._published = diagnosis
             self._mqtt.retain("diagnosis", diagnosis)
             for text in self._news.of(diagnosis):
-                self._mqtt.publish("event", {"severity": "warning", "code": "missing_effect", "text": text})
+                self._event("warning", "missing_effect", text)
 
     def _serve_metrics(self, hello: Mapping[str, Any]) -> None:
         from service.observer.metrics import Metrics, MetricsServer  # an HTTP server, which most do not need
@@ -360,10 +366,27 @@ class Observer:
 
     def _report_error(self, code: str, text: str) -> None:
         """Report an error to the log, the broker and, with the next report, to control."""
-        logging.getLogger(__name__).error("%s", text)
+        if EVENTS.disabled:  # as at a terminal
+            logging.getLogger(__name__).error("%s", text)
         self._trouble = text
+        self._event("error", code, text)
+
+    def _retain(self, topic: str, document: dict[str, Any]) -> None:
+        """Publish the latest `document` of a topic; a new state of the daemon is also reported to the journal."""
+        state = {name: document[name] for name in ("mode", "code", "reason")} if topic == "state" else self._state
+        if state != self._state:
+            self._state = state
+            fields = {"UPRIGHT_CODE": state["code"], "UPRIGHT_EXPERIMENT": document["experiment"] or ""}
+            EVENTS.info("%s: %s", state["mode"], state["reason"] or state["code"], extra={"fields": fields})
         if self._mqtt is not None:
-            self._mqtt.publish("event", {"severity": "error", "code": code, "text": text})
+            self._mqtt.retain(topic, document)
+
+    def _event(self, severity: str, code: str, text: str) -> None:
+        """Report an event to the journal and the broker."""
+        fields = {"UPRIGHT_CODE": code, "UPRIGHT_EXPERIMENT": self._experiment}
+        EVENTS.log(LEVELS[severity], "%s", text, extra={"fields": fields})
+        if self._mqtt is not None:
+            self._mqtt.publish("event", {"severity": severity, "code": code, "text": text})
 
     def _forward(self, command: dict[str, Any]) -> bool:
         """Called in the thread of MQTT: packets are atomic, so that two threads may send at the same time."""
@@ -382,9 +405,17 @@ async def observe(connection: socket.socket) -> None:
     """Serve the control process behind `connection`."""
     packet = await asyncio.get_running_loop().sock_recv(connection, link.LARGEST)
     if packet:
-        observer = Observer(connection, link.unpack_json(packet))
+        hello = link.unpack_json(packet)
+        log_as(hello["vehicle"])
+        observer = Observer(connection, hello)
         os.nice(NICENESS)  # of this thread and later ones, but not of MQTT's, which forwards commands
         await observer.run()
+
+
+def _offer_memory() -> None:
+    """Let the kernel end this process before the control process where memory runs out."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500")
 
 
 def main(descriptor: int) -> None:
@@ -393,7 +424,7 @@ def main(descriptor: int) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     leave_to_control()
     sys.setswitchinterval(SWITCH_INTERVAL)
-    logging.basicConfig(format="%(name)s: %(message)s")
+    _offer_memory()
     with socket.socket(fileno=descriptor) as connection:
         connection.setblocking(False)
         asyncio.run(observe(connection))
