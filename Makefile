@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults benchmark soak clean
+.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults benchmark soak wheels deb install uninstall lock audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -48,13 +48,14 @@ patient-test: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 --timeout 900 -m "patient and not thorough"
 
 thorough-test: $(READY) ## what `make test` leaves out: the same asked of further effects and records, for an hour or two
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m "thorough and not vcan"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m "thorough and not (vcan or systemd)"
 	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
+	$(MAKE) deb && $(GUEST) --systemd $(BIN)/pytest -m "systemd and thorough" || $(NO_GUEST)
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
 	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and not thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
-	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
+	$(GUEST) --systemd $(BIN)/pytest -m "systemd and not thorough" --durations=20 || $(NO_GUEST)
 
 faults: $(READY) ## every fault in every part of a run, for every vehicle, as one table; ARGS="--phase rise --markdown"
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m faults.table $(ARGS)
@@ -74,9 +75,31 @@ soak: $(READY) ## an hour of experiments in turn on SocketCAN: nothing may grow;
 	@tests/setup/apt-needs $(GUEST_NEEDS)
 	$(GUEST) $(BIN)/python benchmarks/soak.py $(ARGS)
 
+# What is installed is what requirements.lock says, for the Python of this computer's Debian.
+wheels:
+	deploy/wheels dist/wheels
+
+deb: wheels ## a Debian package of upright and all that it needs beside Python, in dist/
+	rm -f dist/upright_*.deb
+	deploy/deb dist/wheels dist
+
+install: ## install command and service on this computer, as root: sudo make wheels install
+	deploy/install dist/wheels
+
+uninstall: ## remove them again; recordings and configuration stay
+	deploy/install --remove
+
+lock: $(READY) ## write requirements.lock anew where pyproject.toml has changed; ARGS=--upgrade takes the newest of all
+	$(BIN)/pip install --quiet "uv>=0.9"
+	deploy/lock $(ARGS)
+
+audit: $(READY) ## known vulnerabilities of what requirements.lock names
+	$(BIN)/pip install --quiet "pip-audit>=2.9"
+	$(BIN)/python deploy/audit
+
 clean: ## remove the environment and everything that was made
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build .guest.*
 
-$(READY): pyproject.toml
+$(READY): pyproject.toml requirements.lock
 	tests/setup/environment
 	@touch $@

@@ -110,15 +110,16 @@ def test_service_commands_parse_and_agree_on_folders_and_ports(files: tuple[str,
 
 
 def test_image_has_the_required_python_and_the_files_that_the_services_use() -> None:
-    lines = (REPOSITORY / "Dockerfile").read_text().splitlines()
-    words = {line.split()[0]: line.split()[1:] for line in lines}
-    version = re.fullmatch(r"python:(\d+\.\d+)-slim", words["FROM"][0])
+    lines = (REPOSITORY / "Dockerfile").read_text().replace("\\\n", "").splitlines()
+    words = {line.split()[0]: line.split()[1:] for line in lines}  # the last one of each
+    version = re.match(r"python:(\d+\.\d+)\.\d+-slim", words["FROM"][0])
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     least = tuple(int(part) for part in project["requires-python"].removeprefix(">=").split("."))
     assert version is not None
     assert tuple(int(part) for part in version[1].split(".")) >= least
     assert words["COPY"] == [".", str(IMAGE)]
-    assert words["RUN"][:4] == ["pip", "install", "--no-cache-dir", str(IMAGE)]
+    assert words["RUN"][:2] == ["pip", "install"]
+    assert str(IMAGE) in words["RUN"]
     assert words["ENTRYPOINT"] == ['["upright"]']
     assert "upright" in project["scripts"]
     ignored = (REPOSITORY / ".dockerignore").read_text().split()
