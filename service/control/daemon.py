@@ -316,6 +316,7 @@ class Daemon:
         if state != self._published:
             self._published = state
             self.observer.retain("state", state)
+            self._notifier.status(f"{self.loop.mode}: {self.loop.reason or self.loop.code}".replace("\n", " "))
 
     def _publish_health(self) -> None:
         """Send the health of this process to the observer."""

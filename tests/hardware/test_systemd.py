@@ -11,185 +11,154 @@ import json
 import os
 import re
 import subprocess
-import sys
-import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from guest_service import (
+    REPOSITORY,
+    SOCKET,
+    UPRIGHT,
+    VEHICLE,
+    drive_states,
+    drop_in,
+    journal,
+    open_to_the_service,
+    records,
+    run,
+    show,
+    start_experiment,
+    start_vehicle,
+    status,
+    wait,
+    wait_for_mode,
+    write_vehicle,
+)
 
-from service.control import api
 from service.control.loop import Mode
 
 pytestmark = [pytest.mark.systemd, pytest.mark.timeout(90)]
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-UPRIGHT = Path(sys.executable).parent / "upright"
-SOCKET = Path("/run/upright/monocab.sock")
-VEHICLE = Path("/etc/upright/vehicle.toml")
-SLOWER = {"rate": 100, "heartbeat_period": 0.1, "heartbeat_timeout": 0.5, "missed_cycles": 20}
-"""Keys of the vehicle file that differ in the guest, which has one CPU for everything, where starting Python takes
-seconds. These tests are about the unit, not the timing."""
-
-DROP_IN = f"""
-[Service]
-ExecStart=
-ExecStart={UPRIGHT} serve ${{VEHICLE}} --bus socketcan:vcan0
-ProtectHome=no
-PrivateTmp=no
-ReadWritePaths=/tmp
-"""
-
-
-def _run(*command: str | Path) -> str:
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}{_journal()}"
-    return done.stdout.strip()
-
-
-def _journal() -> str:
-    return subprocess.run(
-        ["journalctl", "--unit=upright", "--no-pager", "--lines=60"], capture_output=True, text=True, timeout=60
-    ).stdout
-
-
-def _show(name: str) -> str:
-    return _run("systemctl", "show", "--value", "--property", name, "upright")
-
-
-def _status() -> dict[str, Any] | None:
-    """The status that the daemon reports; None while it cannot be reached."""
-    try:
-        return list(api.call([SOCKET], {"verb": "status"}))[-1]["status"]  # type: ignore[no-any-return]
-    except api.ApiError:
-        return None
-
-
-def _wait(what: str, met: Callable[[], bool], seconds: float) -> None:
-    limit = time.monotonic() + seconds
-    while not met():
-        assert time.monotonic() < limit, f"not within {seconds} s: {what}; {_status()}\n{_journal()}"
-        time.sleep(0.1)
-
-
-def _wait_for_mode(mode: Mode, seconds: float = 30.0) -> dict[str, Any]:
-    _wait(f"mode {mode}", lambda: (_status() or {}).get("mode") == mode, seconds)
-    status = _status()
-    assert status is not None
-    return status
 
 
 @pytest.fixture(scope="module", autouse=True)
 def installed() -> None:
     """Installs user, environment file and unit."""
-    for place in (Path(sys.base_prefix), REPOSITORY):  # The user upright must reach the interpreter and the checkout.
-        for folder in place.parents:
-            if not folder.stat().st_mode & 0o001:
-                folder.chmod(folder.stat().st_mode | 0o011)
+    open_to_the_service()
     units, systemd = Path("/etc/systemd/system"), REPOSITORY / "systemd"
-    _run("install", "-D", "-m", "644", systemd / "upright.sysusers", "/etc/sysusers.d/upright.conf")
-    _run("systemd-sysusers")
-    _run("install", "-D", "-m", "644", systemd / "upright.env", "/etc/upright/upright.env")
-    vehicle = (REPOSITORY / "vehicles" / "monocab" / "vehicle.toml").read_text()
-    for key, value in SLOWER.items():
-        vehicle, changed = re.subn(rf"^{key} = \S+", f"{key} = {value}", vehicle, count=1, flags=re.MULTILINE)
-        assert changed, key
-    VEHICLE.write_text(vehicle)
-    _run("install", "-m", "644", systemd / "upright.service", units)
+    run("install", "-D", "-m", "644", systemd / "upright.sysusers", "/etc/sysusers.d/upright.conf")
+    run("systemd-sysusers")
+    run("install", "-D", "-m", "644", systemd / "upright.env", "/etc/upright/upright.env")
+    write_vehicle()
+    run("install", "-m", "644", systemd / "upright.service", units)
     (units / "upright.service.d").mkdir(exist_ok=True)
-    (units / "upright.service.d" / "guest.conf").write_text(DROP_IN)
-    _run("systemctl", "daemon-reload")
+    (units / "upright.service.d" / "guest.conf").write_text(drop_in(UPRIGHT, REPOSITORY))
+    run("systemctl", "daemon-reload")
 
 
 @pytest.fixture
 def silent_service() -> Iterator[None]:
     """The started service, on a bus with no other node."""
-    _run("systemctl", "reset-failed")
-    _run("systemctl", "start", "upright")
+    run("systemctl", "reset-failed")
+    run("systemctl", "start", "upright")
     yield
-    _run("systemctl", "stop", "upright")
+    run("systemctl", "stop", "upright")
 
 
 @pytest.fixture
 def service(silent_service: None) -> Iterator[dict[str, Any]]:
     """The status of the service once it has set up the drives of a virtual vehicle."""
-    _run("systemd-run", "--unit=vehicle", "--quiet", UPRIGHT, "simulate", VEHICLE, "--bus", "socketcan:vcan0")
-    yield _wait_for_mode(Mode.DISARMED)
-    _run("systemctl", "stop", "vehicle")
-
-
-def _start_experiment() -> list[str]:
-    """Start an experiment and wait until the drives are enabled. Its final text is added to the list when it ends."""
-    ends: list[str] = []
-    _wait(
-        "nothing keeps an experiment from starting",
-        lambda: not (_status() or {"interlocks": ["no answer"]})["interlocks"],
-        30.0,
-    )
-
-    def follow() -> None:
-        try:
-            ends.append(list(api.call([SOCKET], {"verb": "experiment", "name": "hold"}, timeout=None))[-1]["text"])
-        except api.ApiError as error:
-            ends.append(str(error))
-
-    threading.Thread(target=follow, daemon=True).start()
-    _wait("the drives are enabled", lambda: _drive_states(_status()) == {"Operation enabled"} or bool(ends), 20.0)
-    assert not ends
-    return ends
-
-
-def _drive_states(status: dict[str, Any] | None) -> set[str]:
-    return {drive["state"] for drive in (status or {}).get("drives", [])}
+    start_vehicle()
+    yield wait_for_mode(Mode.DISARMED)
+    run("systemctl", "stop", "vehicle")
 
 
 def test_unit_file_passes_systemd_analyze() -> None:
-    assert _run("systemd-analyze", "verify", "upright.service") == ""
+    assert run("systemd-analyze", "verify", "upright.service") == ""
+    tenths = 15
+    assert "OK" in run("systemd-analyze", "security", f"--threshold={tenths}", "--no-pager", "upright.service")
+
+
+def test_realtime_drop_in_needs_nothing_else(tmp_path: Path) -> None:
+    """systemd sets the priority before it forbids the process to do so itself."""
+    policy = (REPOSITORY / "systemd" / "upright.service.d" / "realtime.conf").read_text().split()
+    properties = [f"--property={line}" for line in policy if line.startswith("CPUScheduling")]
+    common = [
+        "systemd-run",
+        "--quiet",
+        "--wait",
+        "--pipe",
+        "--property=User=upright",
+        "--property=RestrictRealtime=yes",
+    ]
+    assert "SCHED_FIFO" in run(*common, *properties, "chrt", "--pid", "0")
+    refused = subprocess.run([*common, "chrt", "--fifo", "1", "true"], capture_output=True, text=True, timeout=30)
+    assert "Operation not permitted" in refused.stderr
 
 
 def test_service_is_ready_disarmed_and_not_root(service: dict[str, Any]) -> None:
-    assert _show("ActiveState") == "active"
-    assert "Operation enabled" not in _drive_states(service)
-    user = Path(f"/proc/{_show('MainPID')}").stat().st_uid
-    assert user == int(_run("id", "--user", "upright")) != 0
-    answer = json.loads(_run(UPRIGHT, "status", "--json", "--socket", SOCKET))
+    assert show("ActiveState") == "active"
+    assert "Operation enabled" not in drive_states(service)
+    main = Path(f"/proc/{show('MainPID')}")
+    assert main.stat().st_uid == int(run("id", "--user", "upright")) != 0
+    answer = json.loads(run(UPRIGHT, "status", "--json", "--socket", SOCKET))
     assert answer["mode"] == "disarmed"
+    observer = Path("/proc") / run("pgrep", "--full", "service.observer.process")
+    assert [int((process / "oom_score_adj").read_text()) for process in (main, observer)] == [-900, 500]
+
+
+def test_interface_that_goes_down_and_comes_back(service: dict[str, Any]) -> None:
+    process = show("MainPID")
+    run("ip", "link", "set", "vcan0", "down")
+    try:
+        wait("the daemon says so", lambda: bool((status() or {"interlocks": []})["interlocks"]), 10.0)
+    finally:
+        run("ip", "link", "set", "vcan0", "up")
+    run("systemctl", "restart", "vehicle")  # whose own socket is gone
+    wait_for_mode(Mode.DISARMED)
+    assert (show("MainPID"), show("NRestarts")) == (process, "0")
 
 
 def test_daemon_killed_with_the_drives_enabled_restarts_disarmed(service: dict[str, Any]) -> None:
-    ends = _start_experiment()
-    killed = _show("MainPID")
-    _run("systemctl", "kill", "--signal=KILL", "--kill-whom=main", "upright")
-    _wait("systemd restarts it", lambda: _show("NRestarts") == "1" and _show("MainPID") not in ("0", killed), 20.0)
+    ends = start_experiment()
+    killed = show("MainPID")
+    run("systemctl", "kill", "--signal=KILL", "--kill-whom=main", "upright")
+    wait("systemd restarts it", lambda: show("NRestarts") == "1" and show("MainPID") not in ("0", killed), 20.0)
     assert "the daemon ended" in ends[0]
-    status = _wait_for_mode(Mode.DISARMED)
-    assert "Operation enabled" not in _drive_states(status)
-    assert status["experiment"] is None
+    found = wait_for_mode(Mode.DISARMED)
+    assert "Operation enabled" not in drive_states(found)
+    assert found["experiment"] is None
 
 
 def test_hung_daemon_is_restarted_by_the_watchdog(service: dict[str, Any]) -> None:
-    _run("systemctl", "kill", "--signal=STOP", "--kill-whom=main", "upright")
-    _wait("the watchdog restarts it", lambda: _show("NRestarts") == "1", 20.0)
-    assert "Watchdog timeout" in _journal()
-    _wait_for_mode(Mode.DISARMED)
+    run("systemctl", "kill", "--signal=STOP", "--kill-whom=main", "upright")
+    wait("the watchdog restarts it", lambda: show("NRestarts") == "1", 20.0)
+    assert "Watchdog timeout" in journal()
+    wait_for_mode(Mode.DISARMED)
 
 
 def test_daemon_is_not_restarted_while_the_vehicle_is_switched_off(silent_service: None) -> None:
     watchdog_periods = 2.5
     time.sleep(watchdog_periods * 2.0)
-    assert (_show("NRestarts"), _show("ActiveState")) == ("0", "active")
-    assert (_status() or {})["mode"] != Mode.RUNNING
+    assert (show("NRestarts"), show("ActiveState")) == ("0", "active")
+    assert (status() or {})["mode"] != Mode.RUNNING
 
 
 def test_daemon_stopped_during_an_experiment_exits_cleanly_and_keeps_the_recording(service: dict[str, Any]) -> None:
-    _start_experiment()
-    _run("systemctl", "stop", "upright")
-    assert (_show("Result"), _show("ExecMainStatus"), _show("ActiveState")) == ("success", "0", "inactive")
+    start_experiment()
+    assert show("StatusText") == "running: experiment hold"
+    invocation = show("InvocationID")
+    run("systemctl", "stop", "upright")
+    assert (show("Result"), show("ExecMainStatus"), show("ActiveState")) == ("success", "0", "inactive")
     assert not SOCKET.exists()
     assert list(Path("/var/lib/upright").glob("*.arrow")), "the recording of the interrupted experiment is kept"
+    ended = records(f"_SYSTEMD_INVOCATION_ID={invocation}", "UPRIGHT_EXPERIMENT=hold", "UPRIGHT_CODE=end")
+    fields = ("MESSAGE", "PRIORITY", "UPRIGHT_VEHICLE", "SYSLOG_IDENTIFIER", "CODE_FUNC")
+    assert [tuple(record[field] for field in fields) for record in ended] == [
+        ("the daemon is being stopped", "4", "monocab", "upright", "_event")
+    ]
 
 
 @pytest.fixture
@@ -202,29 +171,29 @@ def drop_ins() -> Iterator[None]:
     texts["guest-more.conf"] = f"[Service]\nTimeoutStartSec=90\nEnvironment=PYTHONPATH={REPOSITORY}\n"
     for name, text in texts.items():
         (folder / name).write_text(text)
-    _run("systemctl", "daemon-reload")
+    run("systemctl", "daemon-reload")
     yield
     for name in texts:
         (folder / name).unlink()
-    _run("systemctl", "daemon-reload")
+    run("systemctl", "daemon-reload")
 
 
 @pytest.mark.timeout(240)
 def test_drop_ins_give_priority_and_locked_memory_to_the_control_process_alone(
     drop_ins: None, silent_service: None
 ) -> None:
-    assert _run("systemd-analyze", "verify", "upright.service") == ""
-    control = int(_show("MainPID"))
-    helpers = [int(pid) for pid in _run("pgrep", "--parent", str(control)).split()]
+    assert run("systemd-analyze", "verify", "upright.service") == ""
+    control = int(show("MainPID"))
+    helpers = [int(pid) for pid in run("pgrep", "--parent", str(control)).split()]
     assert len(helpers) == 2, "the observer and the raw log"
     policies = {pid: os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK for pid in (control, *helpers)}
     assert policies == {control: os.SCHED_FIFO, **dict.fromkeys(helpers, os.SCHED_OTHER)}
     locked = {pid: re.search(r"VmLck:\s+(\d+)", Path(f"/proc/{pid}/status").read_text()) for pid in policies}
     assert all(locked.values())
     kilobytes = {pid: int(found[1]) for pid, found in locked.items() if found}
-    assert kilobytes[control] > 20_000, _journal()
+    assert kilobytes[control] > 20_000, journal()
     assert not any(kilobytes[pid] for pid in helpers)
-    assert "not locked" not in _journal()
+    assert "not locked" not in journal()
 
     done = subprocess.run([UPRIGHT, "doctor", VEHICLE, "--json"], capture_output=True, text=True, timeout=60)
     found = {each["check"]: each["status"] for each in json.loads(done.stdout)["checks"]}
