@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-import tomllib
 from collections.abc import Iterable
 from functools import reduce
 from importlib import resources
@@ -19,6 +18,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from telemetry.documents import from_toml
 from telemetry.errors import UprightError
 from vehicles import registry
 from vehicles.sections import DriveSection, ExperimentSection, VehicleFile
@@ -68,8 +68,8 @@ def load(name_or_path: str) -> VehicleFile:
             remedy=f"Give a path, or one of: {', '.join(shipped())}.",
         ) from error
     try:
-        table = tomllib.loads(content.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        table = from_toml(content.decode("utf-8"))
+    except ValueError as error:
         raise VehicleFileError(str(path), "", f"is not valid TOML: {error}", remedy="Correct that line.") from error
     return _check(table, str(path), hashlib.sha256(content).hexdigest()[:16])
 

@@ -6,7 +6,6 @@ torque, its beginning and its duration are fitted together with whatever else is
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -16,6 +15,7 @@ from pydantic import ValidationError
 from models.effect import Role
 from models.effects.bias import TORQUE_STEP
 from models.model import Model
+from telemetry.documents import from_json
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from vehicles.phases import Phase
@@ -46,7 +46,7 @@ def load_of(recording: Recording) -> LoadSection | None:
 def asked_for(metadata: Mapping[str, str]) -> LoadSection | None:
     """The load that the experiment of a recording with this `metadata` asks for; None if there is none."""
     try:
-        asked = json.loads(metadata.get("experiment_definition", "{}")).get("load")
+        asked = from_json(metadata.get("experiment_definition", "{}")).get("load")
         return LoadSection.model_validate(asked) if asked else None
     except (ValueError, AttributeError, ValidationError):
         return None

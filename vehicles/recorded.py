@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from telemetry.documents import from_json
 from telemetry.recording import Recording
 from vehicles.load import load_of
 from vehicles.phases import Phase
@@ -21,6 +22,15 @@ DRIVEN = ("drive_age", "excitation", "phase")
 """Channels without which the loop cannot be reconstructed."""
 SAME = 0.01
 """Share of the RMS of what was sent by which the controller may differ from it: some samples may be lost."""
+
+
+def designed_for(recording: Recording) -> dict[str, float]:
+    """The parameters, SI, that the controller of `recording` was designed for; none if its metadata do not state them,
+    as those of other software."""
+    try:
+        return {name: float(value) for name, value in from_json(recording.metadata.get("parameters", "{}")).items()}
+    except (ValueError, TypeError, AttributeError):
+        return {}
 
 
 @dataclass(frozen=True, slots=True)

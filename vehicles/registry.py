@@ -7,7 +7,7 @@ A further kind is a further folder; neither this module nor any other names a ki
 
 from __future__ import annotations
 
-import json
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -80,9 +80,8 @@ def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:
     The free run of a model needs this loop to be comparable with a recording of an unstable vehicle. The controller is
     that of the vehicle file, designed for the parameters in the recording's metadata.
     """
-    try:
-        designed_for = json.loads(recording.metadata.get("parameters", "{}"))
-        vehicle = vehicle.with_values({name: float(value) for name, value in designed_for.items()})
-    except (ValueError, TypeError, AttributeError):
-        pass  # of other software: then its controller is not this one, or the values of the file are right
+    from vehicles.recorded import designed_for
+
+    with suppress(ValueError):  # values that this vehicle cannot have: then its controller is not this one
+        vehicle = vehicle.with_values(designed_for(recording))
     return of(vehicle.vehicle.kind).recorded_loop(vehicle, recording)

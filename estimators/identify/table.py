@@ -18,11 +18,11 @@ regressors) and chapter 13 (closed loop); docs/explanation/methods.md for the si
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from telemetry.documents import from_json
 from telemetry.recording import Recording
 
 
@@ -129,7 +129,7 @@ class Experiment:
 def experiment_of(recording: Recording) -> Experiment:
     """The experiment of a recording's metadata."""
     try:
-        definition = json.loads(recording.metadata.get("experiment_definition", "{}"))
+        definition = from_json(recording.metadata.get("experiment_definition", "{}"))
         return Experiment(str(definition.get("excitation") or ""), str(definition.get("at") or ""))
     except (ValueError, AttributeError):
         return Experiment()

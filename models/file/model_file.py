@@ -10,7 +10,6 @@ import os
 import re
 import stat
 import tempfile
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +20,7 @@ from models.file.own_equations import base_model, given
 from models.file.sections import EffectSection, HistorySection, sections
 from models.model import Model
 from models.parts import ModelError
+from telemetry.documents import from_toml
 
 if TYPE_CHECKING:
     from models.effect import AttachedEffect, Effect
@@ -55,8 +55,8 @@ def parse(text: str, path: str | Path) -> ModelFile:
     """The model file with the content `text`; `path` is where it is or will be. Raises ModelError as `read` does."""
     file = str(path)
     try:
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        table = from_toml(text)
+    except ValueError as error:
         remedy = "correct that line; a name can be given only once."
         raise ModelError(file, f"is not valid TOML: {error}", remedy=remedy) from error
     tables = sections(table, file)

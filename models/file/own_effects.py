@@ -32,7 +32,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -43,6 +42,7 @@ from models.effects.catalogue import CATALOGUE
 from models.file.allowed_code import is_allowed, sha256
 from models.file.effect_rules import validate
 from models.parts import ModelError, Place
+from telemetry.documents import from_toml
 
 _OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by"))
 """Attributes without a default that a file may omit; the equation then consists of the expressions."""
@@ -105,8 +105,8 @@ def _from_python(path: Path, allow: bool) -> Effect:
 
 def _from_toml(path: Path) -> Effect:
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        document = from_toml(path.read_text(encoding="utf-8"))
+    except ValueError as error:
         raise ModelError(str(path), f"is not TOML ({error})", remedy="correct the line.") from error
     where = str(path)
     document = {_FORMERLY.get(key, key): value for key, value in document.items()}

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from telemetry.documents import from_json
+
 
 def read(path: Path) -> list[Any]:
     """The documents in the file, none if it does not exist. Raises OSError, ValueError."""
-    return list(json.loads(path.read_text("utf-8"))) if path.exists() else []
+    return list(from_json(path.read_text("utf-8"))) if path.exists() else []
 
 
 def replace(path: Path, documents: Sequence[Any]) -> None:

@@ -8,7 +8,6 @@ controllers as designed.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -25,6 +24,7 @@ from models.model import Model
 from models.parts import Parameter
 from service.offline.models import identified_model
 from service.offline.next_experiment import require_predictable
+from telemetry.documents import from_json
 from telemetry.errors import UprightError
 from vehicles import registry
 from vehicles.excitation import ExcitationError
@@ -123,7 +123,7 @@ def read_result(path: Path, vehicle: VehicleFile, method: str | None = None, mod
         values, deviations = ({each.name: number(each) for each in own} for number in (_value, _std))
         return Result(path.name, digest, values, deviations, {}, known, INDEPENDENT)
     try:
-        document = json.loads(content)
+        document = from_json(content)
         best = method or document["best"]
         entries: dict[str, dict[str, Any]] = dict(document["methods"][best]["parameters"]) | _of_drives(document)
         table = document["methods"][best].get("correlation") or {}

@@ -11,7 +11,6 @@ which follows from the scatter of the parts of the record.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from math import sqrt
 
@@ -22,6 +21,7 @@ from telemetry.recording import Recording
 from vehicles.commissioning import Number
 from vehicles.monocab.file import MonocabFile
 from vehicles.phases import Phase
+from vehicles.recorded import designed_for
 
 PARTS = 8
 """Parts of the record, each several times longer than the correlation of a disturbance."""
@@ -31,8 +31,7 @@ def static_torque(vehicle: MonocabFile, recordings: Sequence[Recording]) -> dict
     """`static_torque`, N m, and `trim_shift`, mm by which the trim mass has to move to balance it, from the first of
     `recordings`, with the parameters that its controller was designed for."""
     recording = recordings[0]
-    designed_for = json.loads(recording.metadata.get("parameters", "{}"))
-    values = {**vehicle.parameters.values, **{name: float(value) for name, value in designed_for.items()}}
+    values = {**vehicle.parameters.values, **designed_for(recording)}
     excited = np.flatnonzero(recording["phase"] == Phase.EXCITE)
     time, roll = recording.time, recording["roll"]
     weight = values["gravity_stiffness"] * roll + values["trim_mass"] * GRAVITY * recording["trim_position"]
