@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
-from telemetry.recording import Recording, describe
+from telemetry.recording import Recording, describe, instants, refuse_repeated
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 """The last eight bytes of a stream that was closed."""
@@ -130,27 +130,29 @@ def _table(recording: Recording) -> Any:
 def _recording(table: Any, path: Path, late: dict[str, str], truncated: str) -> Recording:
     """Reads `timestamp_ns`, or `time` in s if the table comes from elsewhere; every other column is a channel."""
     names = table.column_names
-    if "timestamp_ns" in names:
-        timestamp_ns = table.column("timestamp_ns").to_numpy()
-    elif "time" in names:
-        timestamp_ns = np.round(table.column("time").to_numpy() * 1e9)
-    else:
+    if not {"timestamp_ns", "time"} & set(names):
         raise RecordingError(
             str(path), "time", "is missing", remedy="Name the column of seconds `time`, or of ns `timestamp_ns`."
         )
+    refuse_repeated(names, str(path))
+    for field in table.schema:
+        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
+            remedy = "A channel is a column of numbers: leave it out."
+            raise RecordingError(str(path), field.name, f"is of type {field.type}", remedy=remedy)
+    if "timestamp_ns" in names:
+        timestamp_ns = instants(table.column("timestamp_ns").to_numpy(), 1.0, str(path))
+    else:
+        timestamp_ns = instants(table.column("time").to_numpy(), 1e9, str(path))
     values, units = {}, {}
     for field in table.schema:
         if field.name in ("timestamp_ns", "time"):
             continue
-        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
-            remedy = "A channel is a column of numbers: leave it out."
-            raise RecordingError(str(path), field.name, f"is of type {field.type}", remedy=remedy)
         values[field.name] = table.column(field.name).to_numpy().astype(np.float64)
         units[field.name] = _text(field.metadata).get("unit", "")
     own = {key: text for key, text in _text(table.schema.metadata).items() if key not in ("pandas", "ARROW:schema")}
     return Recording(
         channels=describe(units),
-        timestamp_ns=timestamp_ns.astype(np.int64),
+        timestamp_ns=timestamp_ns,
         values=values,
         metadata={**own, **late},
         truncated=truncated,

@@ -54,11 +54,13 @@ def parse_line(line: str, buses: dict[str, int]) -> CanFrame:
     can_id = int(digits, 16)
     bus = buses.setdefault(channel, len(buses))
     extended = len(digits) == 8
-    if data[:1] == "R":
-        return CanFrame(timestamp_ns, can_id, bytes(int(data[1:] or "0")), bus, extended, True)
+    remote = data[:1] == "R"
+    length = int(data[1:] or "0") if remote else len(data) // 2
+    if not 0 <= length <= 8:
+        raise ValueError(f"a frame of {length} bytes")
+    if remote:
+        return CanFrame(timestamp_ns, can_id, bytes(length), bus, extended, True)
     payload = bytes.fromhex(data)
-    if len(payload) > 8:
-        raise ValueError(f"a frame of {len(payload)} bytes")
     if extended and can_id & ERROR_FLAG:
         return CanFrame(timestamp_ns, can_id & EXTENDED_MASK, payload, bus, False, False, True)
     return CanFrame(timestamp_ns, can_id, payload, bus, extended)

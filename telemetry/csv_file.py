@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from telemetry.errors import RecordingError
-from telemetry.recording import Recording, describe
+from telemetry.recording import Recording, describe, instants, refuse_repeated
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -41,9 +41,7 @@ def read_csv(path: Path) -> Recording:
             raise RecordingError(
                 str(path), "time", "is missing from the header", remedy="Name the column of seconds `time`."
             )
-        if len(set(header)) != len(header):
-            twice = next(name for name in header if header.count(name) > 1)
-            raise RecordingError(str(path), twice, "occurs twice", remedy="Give every column a name of its own.")
+        refuse_repeated(header, str(path))
         rows: list[list[float]] = []
         truncated = ""
         for fields in lines:
@@ -66,12 +64,10 @@ def read_csv(path: Path) -> Recording:
             rows.append(row)
     table = np.array(rows, dtype=np.float64).reshape(-1, len(header))
     time = table[:, header.index("time")]
-    if not np.isfinite(time).all():
-        raise RecordingError(str(path), "time", "has values that are not numbers", remedy="Leave these rows out.")
     names = [name for name in header if name != "time"]
     return Recording(
         channels=describe(dict.fromkeys(names, "")),
-        timestamp_ns=np.round(time * 1e9).astype(np.int64),
+        timestamp_ns=instants(time, 1e9, str(path)),
         values={name: table[:, header.index(name)].copy() for name in names},
         truncated=truncated,
         source=str(path),

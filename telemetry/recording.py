@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,9 @@ from telemetry.channels import STEEPEST, Channel, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.samples import Frame
 from telemetry.vehicle_modules import each_with
+
+FARTHEST = 1 << 62
+"""ns before or after 1970, until the year 2116: differences of two such times are exact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,8 @@ class Recording:
     def __post_init__(self) -> None:
         if len(self.timestamp_ns) == 0:
             raise RecordingError(self.source, "", "holds no rows", remedy="Record again, for longer.")
+        if not self.channels.names:
+            raise RecordingError(self.source, "", "holds no channels", remedy="Record again, or add some columns.")
         for name in self.channels.names:
             if self.values[name].shape != self.timestamp_ns.shape:
                 raise RecordingError(
@@ -49,6 +56,10 @@ class Recording:
                     f"has {len(self.values[name])} values for {len(self.timestamp_ns)} instants",
                     remedy="Give every column the same length.",
                 )
+        first, last = int(self.timestamp_ns.min()), int(self.timestamp_ns.max())
+        if max(-first, last) > FARTHEST:
+            what = f"goes from {first * 1e-9:.3g} to {last * 1e-9:.3g} s, which are no times of this century"
+            raise RecordingError(self.source, "time", what, remedy="Write the time in s, or as Unix time in ns.")
         backwards = np.flatnonzero(np.diff(self.timestamp_ns) <= 0)
         if len(backwards):
             raise RecordingError(
@@ -140,6 +151,26 @@ class Recording:
         columns = [self.values[name].tolist() if name in self.values else unknown for name in table.names]
         for timestamp_ns, row in zip(self.timestamp_ns.tolist(), zip(*columns, strict=True), strict=True):
             yield Frame(timestamp_ns, row)
+
+
+def instants(times: NDArray[Any], unit: float, source: str) -> NDArray[np.int64]:
+    """A column of times, counted in 1 / `unit` ns, as time stamps in ns, (n,). Raises RecordingError."""
+    limit = FARTHEST if unit == 1.0 else FARTHEST / unit
+    known = (times >= -limit) & (times <= limit)
+    if not known.all():
+        row = int(np.flatnonzero(~known)[0])
+        what = "is outside of this century" if np.isfinite(times[row]) else "has values that are not numbers"
+        raise RecordingError(source, "time", f"{what}, the first in row {row + 1}", remedy="Leave these rows out.")
+    if unit == 1.0 and times.dtype.kind in "iu":
+        return times.astype(np.int64)
+    return np.round(times.astype(np.float64) * unit).astype(np.int64)
+
+
+def refuse_repeated(names: Sequence[str], source: str) -> None:
+    """Raises RecordingError for the first of `names` that occurs twice."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise RecordingError(source, name, "occurs twice", remedy="Give every column a name of its own.")
 
 
 def describe(names: Mapping[str, str]) -> ChannelTable:

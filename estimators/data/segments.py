@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
-from math import copysign, isfinite
+from math import copysign, inf, isfinite, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from models.parts import Hold, Input, Output
 from models.segment import Segment
 from models.sensing import filter_inputs
 from telemetry.channels import IDLE
+from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -115,7 +116,16 @@ def after_settling(model: Model, recordings: Sequence[Recording], support: float
 def recorded_support(recording: Recording) -> float | None:
     """Magnitude of the coordinate (rad) at which supports carry the vehicle, from the recording's metadata."""
     text = recording.metadata.get("support")
-    return float(text) if text else None
+    if not text:
+        return None
+    try:
+        angle = float(text)
+    except ValueError:
+        angle = nan
+    if not 0.0 < angle < inf:
+        what = f"the support angle in its metadata is no angle: {text[:40]!r}"
+        raise RecordingError(recording.source, "support", what, remedy="Write the angle, in rad, or leave it out.")
+    return angle
 
 
 def channels_of(model: Model) -> tuple[str, ...]:
@@ -248,6 +258,8 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
     long enough for the motion to exceed the noise."""
     values, rates, time = recording[angle], recording[rate], recording.time
     ahead = max(1, round(span * recording.rate))
+    if ahead >= len(values):
+        return
     whole = np.convolve(free, np.ones(ahead + 1), "valid") > ahead
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
     moved, expected = (values[ahead:] - values[:-ahead])[whole], (turned[ahead:] - turned[:-ahead])[whole]

@@ -66,6 +66,8 @@ def test_last_line_without_an_end_is_left_out_and_reported(tmp_path: Path, tail:
         ("(1.000000000) can0 XYZ#00", "invalid literal"),
         ("(1.000000000) can0 18A#001", "hexadecimal|fromhex"),
         ("(1.000000000) can0 18A#001122334455667788", "9 bytes"),
+        ("(1.000000000) can0 18A#R99999999999", "99999999999 bytes"),
+        ("(1.000000000) can0 18A#R-1", "-1 bytes"),
     ],
 )
 def test_invalid_line_error_names_the_file_and_the_line(tmp_path: Path, line: str, words: str) -> None:

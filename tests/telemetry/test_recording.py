@@ -148,6 +148,8 @@ def test_truncated_last_line_of_a_csv_is_left_out_and_reported(tmp_path: Path) -
         ("time,roll\n,0.1\n0.1,0.1\n", "time", "not numbers"),
         ("time,roll\n0.0,3.9\n0.1,-4.0\n", "roll", "cannot be rad"),
         ("time,roll\n", "", "no rows"),
+        ("time\n0.0\n0.1\n", "", "no channels"),
+        ("time,roll\n0.0,0.1\n1e300,0.1\n", "time", "century"),
     ],
 )
 def test_invalid_csv_error_names_the_place_and_a_remedy(tmp_path: Path, text: str, key: str, words: str) -> None:
@@ -197,6 +199,19 @@ def test_parquet_of_other_origin_is_read_and_invalid_columns_are_refused(tmp_pat
     pa.parquet.write_table(pa.table({"roll": [0.0]}), path)
     with pytest.raises(RecordingError, match="timestamp_ns"):
         load(path)
+
+
+def test_table_with_a_name_twice_or_times_beyond_all_sense_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.parquet"
+    for columns, names, words in (
+        ([[0, 1], [0.1, 0.2], [0.3, 0.4]], ["timestamp_ns", "roll", "roll"], "twice"),
+        ([[-(2**63), 2**63 - 1], [0.1, 0.2]], ["timestamp_ns", "roll"], "century"),  # their difference overflows
+        ([[float("nan"), 1.0], [0.1, 0.2]], ["time", "roll"], "not numbers"),
+    ):
+        pa.parquet.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], names), path)
+        with pytest.raises(RecordingError, match=words) as caught:
+            load(path)
+        assert caught.value.remedy
 
 
 def test_missing_channel_error_names_the_key_and_the_closest_channel() -> None:
