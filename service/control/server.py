@@ -24,6 +24,7 @@ from pathlib import Path
 from service.control.api import GONE, ApiError, ExitCode, Message, result, temporary
 from service.control.peers import check_own, names, peer_of
 from service.turns import HANG_UP, MOST_A_TURN, READ, WRITE, Turns
+from telemetry.documents import from_json
 from telemetry.errors import UprightError
 
 MAX_LINE = 32 << 10
@@ -366,10 +367,7 @@ class _Connection:
 
 def parse(line: bytes) -> Message:
     """The request in `line`. Raises ValueError if it is not one."""
-    try:
-        request = json.loads(line)
-    except RecursionError as error:
-        raise ValueError("its parts are too deep") from error
+    request = from_json(line)
     if not isinstance(request, dict) or not isinstance(request.get("verb"), str):
         raise ValueError("a request is an object with a verb")
     return request

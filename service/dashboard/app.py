@@ -33,6 +33,7 @@ from service.control import assembly
 from service.dashboard.guard import Guard, has_token, new_token
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording, own_file
+from telemetry.documents import from_json
 from telemetry.errors import UprightError
 from vehicles import commissioning, registry
 from vehicles.file import VehicleFile
@@ -167,7 +168,7 @@ class Dashboard:
 
     async def _start(self, request: Request) -> Response:
         try:
-            document = await request.json()
+            document = from_json(await request.body())
         except ValueError:
             raise HTTPException(400, "not JSON") from None
         if not isinstance(document, dict):

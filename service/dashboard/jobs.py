@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import time
 from collections import OrderedDict
@@ -17,6 +16,7 @@ from itertools import count
 from typing import Any, Literal
 
 from service.command_line import UPRIGHT
+from telemetry.documents import from_json
 from telemetry.errors import UprightError
 
 MOST_WAITING = 4
@@ -135,7 +135,7 @@ def _result(output: bytes) -> Any:
     """
     for text in (output, output.strip().rpartition(b"\n")[2]):
         try:
-            document = json.loads(text)
+            document = from_json(text)
         except ValueError:
             continue
         event = isinstance(document, dict) and document.get("type", "result") != "result"

@@ -5,13 +5,13 @@ Symbolic links in the folder are not followed: with one, any file that the serve
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from telemetry.documents import from_json
 from telemetry.errors import RecordingError, UprightError
 from telemetry.storage import load
 
@@ -97,7 +97,7 @@ class Folder:
     def _beside(self, path: Path) -> dict[str, Any] | None:
         estimates = path.with_suffix(".estimates.json")
         try:
-            document = json.loads(estimates.read_text(encoding="utf-8")) if own_file(estimates) else None
+            document = from_json(estimates.read_text(encoding="utf-8")) if own_file(estimates) else None
         except (OSError, ValueError):
             return None
         return document if isinstance(document, dict) else None

@@ -11,7 +11,6 @@ is bounded, and so is the number of commands a second that pass.
 
 from __future__ import annotations
 
-import json
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from service.mqtt.topics import ARGUMENTS, Command, User
+from telemetry.documents import from_json
 
 LARGEST = 4096
 """Maximum size of a command, bytes."""
@@ -98,10 +98,10 @@ class CommandGate:
             return Refused("flood", f"More than {MOST_A_SECOND} commands per second.")
         model = ARGUMENTS.get(verb)
         try:
-            document = json.loads(payload)
+            document = from_json(payload)
             command = Command.model_validate(document)
             sender = f"{_USER.validate_python(user)}/{command.client}"
-        except (ValidationError, ValueError, RecursionError):
+        except ValueError:
             return Refused("malformed", "Not a command.")
         who = (sender, command.id)
         if model is None:
