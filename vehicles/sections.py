@@ -29,8 +29,20 @@ def up_to(most: float, why: str) -> Any:
     return Field(gt=0, le=most, json_schema_extra={"$comment": why})
 
 
+LARGEST = 1e15
+"""Of a number in a vehicle file, and the inverse of the smallest: products and powers of such numbers are finite."""
+
+
 class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _can_be_computed_with(cls, value: Any) -> Any:
+        for each in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(each, float | int) and each and not 1.0 / LARGEST <= abs(each) <= LARGEST:
+                raise ValueError(f"must be 0, or between {1.0 / LARGEST:g} and {LARGEST:g} in magnitude")
+        return value
 
 
 class VehicleSection(Section):

@@ -109,6 +109,16 @@ def test_every_limit_has_its_range_in_the_schema(name: str) -> None:
     assert all("maximum" in each for each in properties.values())
 
 
+@pytest.mark.parametrize("value", ["1e308", "1e-320"])
+def test_number_whose_square_cannot_be_computed_is_refused(tmp_path: Path, value: str) -> None:
+    text = shipped_file("monocab").read_text()
+    path = tmp_path / "wild.toml"
+    path.write_text(re.sub(r"bias_random_walk = \S+", f"bias_random_walk = {value}", text))
+    with pytest.raises(VehicleFileError, match="between 1e-15 and 1e\\+15") as refused:
+        load(str(path))
+    assert refused.value.key == "imu.filter.bias_random_walk"
+
+
 def test_no_number_of_a_vehicle_file_is_infinite(tmp_path: Path) -> None:
     for key in ("acceleration_std = ", "rated_torque = ", "roll_weight = "):
         text = shipped_file("monocab").read_text()
