@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from diagnosis.prediction.closed_loop import Course, Experiment, causal, simulate
 from models.control_robustness import CheckedDesign, Known
@@ -34,6 +35,18 @@ from vehicles.sections import REST
 
 INDEPENDENT = "a model file, as if they were independent"
 METHODS = "the method {0}, with the correlation of its estimates"
+
+
+class Estimated(BaseModel):
+    """A parameter in a result, SI; None if it was not determined."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    value: float | None = None
+    std: float | None = None
+
+
+_ESTIMATES = TypeAdapter(dict[str, Estimated])
 
 
 class ResultError(UprightError):
@@ -121,31 +134,48 @@ def read_result(path: Path, vehicle: VehicleFile, method: str | None = None, mod
         known = load_model(str(path))
         own = [each for each in known.parameters if each.name in vehicle.parameters.values]
         values, deviations = ({each.name: number(each) for each in own} for number in (_value, _std))
+        _refuse_impossible(path, vehicle, values, deviations)
         return Result(path.name, digest, values, deviations, {}, known, INDEPENDENT)
     try:
         document = from_json(content)
         best = method or document["best"]
-        entries: dict[str, dict[str, Any]] = dict(document["methods"][best]["parameters"]) | _of_drives(document)
+        found = dict(document["methods"][best]["parameters"]) | _of_drives(document)
         table = document["methods"][best].get("correlation") or {}
-        entries = {name: each for name, each in entries.items() if each["value"] is not None}
+        entries = {name: each for name, each in _ESTIMATES.validate_python(found).items() if each.value is not None}
         correlation = {(one, other): float(r) for one, row in table.items() for other, r in row.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         what = f"has no result of {method}" if method else "recommends no method"
         raise ResultError(
             f"{path} {what} ({error}).", remedy="Write one with `upright identify RECORDINGS --json > FILE.json`."
         ) from error
-    names = [name for name, each in entries.items() if name in vehicle.parameters.values and each["std"] is not None]
+    names = [name for name, each in entries.items() if name in vehicle.parameters.values and each.std is not None]
     if not names:
         remedy = "Identify the vehicle from longer recordings."
         raise ResultError(f"{path} estimates no parameter of the vehicle.", remedy=remedy)
-    values, deviations = ({name: float(entries[name][key]) for name in names} for key in ("value", "std"))
+    values, deviations = ({name: getattr(entries[name], key) for name in names} for key in ("value", "std"))
+    _refuse_impossible(path, vehicle, values, deviations)
     known = identified_model(model, vehicle)
     theirs = {name: each for name, each in entries.items() if name in known.values}
     known = known.change(
-        {name: float(each["value"]) for name, each in theirs.items()},
-        deviations={name: float(each["std"]) for name, each in theirs.items() if each["std"] is not None},
+        {name: each.value for name, each in theirs.items() if each.value is not None},
+        deviations={name: each.std for name, each in theirs.items() if each.std is not None},
     )
     return Result(path.name, digest, values, deviations, correlation, known, METHODS.format(best))
+
+
+def _refuse_impossible(
+    path: Path, vehicle: VehicleFile, values: Mapping[str, float], deviations: Mapping[str, float]
+) -> None:
+    """Raises ResultError if the vehicle cannot have these values."""
+    try:
+        vehicle.with_values(values, deviations)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = "".join(f"{each}." for each in first["loc"]).rstrip(".")
+        raise ResultError(
+            f"{path}: {where}{': ' if where else ''}{first['msg'].removeprefix('Value error, ')}.",
+            remedy="Identify the vehicle again, from recordings that determine it.",
+        ) from error
 
 
 def _value(parameter: Parameter) -> float:

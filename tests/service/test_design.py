@@ -89,6 +89,14 @@ class TestResult:
             ("[]", "recommends no method"),
             ("not JSON", "recommends no method"),
             ('{"best": "a", "methods": {"a": {"parameters": {}}}}', "estimates no parameter of the vehicle"),
+            ("[" * 100_000, "recommends no method"),
+            ('{"best": "a", "methods": {"a": {"parameters": {"inertia": {"value": [], "std": 1}}}}}', "no method"),
+            ('{"best": "a", "methods": {"a": {"parameters": {"inertia": {"value": 1600}}}}}', "estimates no parameter"),
+            (
+                '{"best": "a", "methods": {"a": {"parameters": {"inertia": {"value": -1, "std": 1}}}}}',
+                "inertia must be positive",
+            ),
+            ('{"best": "a", "methods": {"a": {"parameters": {"inertia": {"value": 1, "std": -1}}}}}', "inertia.std"),
         ],
     )
     def test_other_files_are_refused(self, tmp_path: Path, content: str, message: str) -> None:
