@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults benchmark soak wheels deb install uninstall lock audit clean
+.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults fuzz benchmark soak wheels deb install uninstall lock audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -60,6 +60,9 @@ vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in 
 faults: $(READY) ## every fault in every part of a run, for every vehicle, as one table; ARGS="--phase rise --markdown"
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m faults.table $(ARGS)
 
+fuzz: $(READY) ## rubbish into everything that reads what others wrote, as one table; ARGS="--minutes 10 --only sdo"
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m fuzz.table $(ARGS)
+
 benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes and hostile clients
 	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc mosquitto:mosquitto chromium:chromium
 	$(BIN)/python benchmarks/broad.py
@@ -98,7 +101,7 @@ audit: $(READY) ## known vulnerabilities of what requirements.lock names
 	$(BIN)/python deploy/audit
 
 clean: ## remove the environment and everything that was made
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build .guest.*
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .fuzz dist build .guest.*
 
 $(READY): pyproject.toml requirements.lock
 	tests/setup/environment
