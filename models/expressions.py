@@ -8,6 +8,7 @@ another text; `check` only validates it.
 from __future__ import annotations
 
 import ast
+import functools
 import keyword
 import math
 from collections.abc import Iterable, Mapping
@@ -39,6 +40,7 @@ def check(text: str, names: Iterable[str], where: str = "expression") -> None:
     validated(text, frozenset(names), where)
 
 
+@functools.lru_cache(maxsize=4096)
 def names_in(text: str, where: str = "expression") -> frozenset[str]:
     """The names that `text` uses, without functions and constants. Raises ModelError."""
     tree = validated(text, None, where)
@@ -101,7 +103,7 @@ def parse(text: str, symbols: Mapping[str, sympy.Expr], where: str = "expression
 
     def bounded(expression: sympy.Expr) -> sympy.Expr:
         """SymPy evaluates numbers as they arise, also from `x - x`: they must not grow from step to step."""
-        numeric = not expression.free_symbols
+        numeric = expression.is_number
         numbers = expression.atoms(sympy.Rational) if numeric else {expression.as_coeff_Mul()[0]}
         large = any(n.is_Rational and max(abs(n.p).bit_length(), n.q.bit_length()) > MOST_BITS for n in numbers)
         if large or (numeric and abs(expression.evalf(5)) > 1e308):

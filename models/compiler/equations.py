@@ -147,6 +147,8 @@ def _symbol(name: str) -> sympy.Symbol:
 
 def _real(expression: sympy.Expr) -> sympy.Expr:
     """`expression` with functions whose derivatives are known everywhere."""
+    if not expression.has(sympy.Abs, sympy.sign):
+        return expression
     return expression.replace(sympy.Abs, Magnitude).replace(sympy.sign, Signum)
 
 
