@@ -19,12 +19,15 @@ import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from models.compiler.machine_code import LANES
+from models.compiler.machine_code import lanes
 
-COLUMN_FUNCTIONS = ("begin", "middle", "finish", "show", "correct", "steer")
 NOTHING = 1e-150
 """Smaller sensitivities are set to 0: decaying ones would become numbers that take processors ten times as long."""
+LANES = lanes()
 KIND = f"<{LANES} x double>"
+BITS = 64 * LANES
+WIDE = f'nounwind "min-legal-vector-width"="{BITS}" "prefer-vector-width"="{BITS}"'
+"""Attributes of a function: without them, LLVM halves vectors of 512 bits on the processors that have them."""
 _LARGER = f"declare {KIND} @llvm.fabs.v{LANES}f64({KIND})"
 
 
@@ -51,7 +54,7 @@ def number(value: float) -> str:
 def column_functions(
     states: int, rows: Sequence[int], outputs: int, by_state: Collection[int], shown_by_state: Collection[int]
 ) -> list[str]:
-    """The code of all COLUMN_FUNCTIONS. `rows` of S are processed, the others are left alone. `by_state` are the
+    """The code of all these functions. `rows` of S are processed, the others are left alone. `by_state` are the
     indices, row by row, of the entries of A that are not always zero, `shown_by_state` those of C."""
     return [
         _LARGER,
@@ -93,7 +96,7 @@ class _Columns(Lines):
     def function(self, name: str, arguments: str) -> str:
         self.add(f"%next = add i64 %column, {LANES}", "%more = icmp slt i64 %next, %width")
         self.add("br i1 %more, label %columns, label %end", "end:", "ret void", "}")
-        return "\n".join([f"define void @{name}(i64 %width, {arguments}) nounwind {{", "entry:", *self.code])
+        return "\n".join([f"define void @{name}(i64 %width, {arguments}) {WIDE} {{", "entry:", *self.code])
 
     def _place(self, array: str, number: int) -> str:
         place = self.new(f"add i64 %column, {self.new(f'mul i64 %width, {number}')}")

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.compiler import machine_code
-from models.compiler.column_code import COLUMN_FUNCTIONS
 from models.compiler.fingerprint import SOURCES, digest, fingerprint
 from models.model import Model
 from models.parts import ModelError
@@ -28,7 +27,7 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
+FUNCTIONS = ("prepare", "slopes", "observe", "begin", "middle", "finish", "show", "correct", "steer")
 """The functions in the code of a model (models.compiler.codegen, models.compiler.column_code)."""
 LOOPS = "upright_run"
 LARGEST = 1e30
@@ -211,7 +210,8 @@ class Kernel:
             by_gain = gain_slopes if by_gain is None else by_gain + gain_slopes
         structure, functions = self.code.facts["structure"], self.code.facts["functions"]
         delays, constants = int(structure[4]), int(structure[5])
-        width = -(-columns // machine_code.LANES) * machine_code.LANES
+        lanes = machine_code.lanes()
+        width = -(-columns // lanes) * lanes
         space = constants + states * (states + 2 * inputs + outputs + 4) + outputs * (states + 2 * inputs + 1)
         space += inputs * 14
         space += width * (4 * states + 3 * inputs + outputs * (2 + states) + 4)

@@ -23,12 +23,13 @@ from llvmlite import ir
 from numba import cfunc, config, njit, types
 from numba.extending import intrinsic
 
-from models.compiler.machine_code import LANES
+from models.compiler.machine_code import lanes
 
 NUMBER, INTEGER = types.float64, types.int64
 NUMBERS, INTEGERS = types.CPointer(NUMBER), types.CPointer(INTEGER)
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
 INLINE = {**OPTIONS, "forceinline": True}
+LANES = lanes()
 
 
 def _call(builder, context, values):

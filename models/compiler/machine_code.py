@@ -22,8 +22,6 @@ from typing import Any
 
 from models.own_files import make_own, read_own
 
-LANES = 4
-"""Numbers that are processed at once; rows of sensitivities are padded to a multiple of it."""
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -105,6 +103,14 @@ def load(assembled: Assembled, functions: tuple[str, ...]) -> Loaded:
     engine.add_object_file(binding.ObjectFileRef.from_data(assembled.code))
     engine.finalize_object()
     return Loaded({name: engine.get_function_address(name) for name in functions}, assembled.facts, engine)
+
+
+@functools.cache
+def lanes() -> int:
+    """Numbers that this processor computes at once; rows of sensitivities are padded to a multiple of it."""
+    from llvmlite import binding
+
+    return 8 if binding.get_host_cpu_features().get("avx512f") else 4
 
 
 @functools.cache
