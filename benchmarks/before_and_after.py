@@ -1,8 +1,9 @@
 """How much work is a diagnosis in this build, and in another one? `python benchmarks/before_and_after.py --other TREE`
 
 `upright diagnose RECORDING --budget inf` of two records of the virtual MONOCAB, a minute each at 200 Hz: a sine sweep
-with viscous friction hidden, and a shaken multisine with dry friction and a cubic stiffness. The program prints the
-names that were found, the wall clock seconds without the start of Python, and the number of
+with viscous friction hidden, and a shaken multisine with dry friction and a cubic stiffness; and of the square wave of
+the virtual robot, shaken, on a slope. The program prints the names that were found, the CPU seconds without the start
+of Python, and the number of
 
     fits      of a model with its noise
     passes    over a segment of data
@@ -10,7 +11,7 @@ names that were found, the wall clock seconds without the start of Python, and t
     compile   kernels of a model, nearly all of which are in memory already
 
 TREE is a checkout of another build (`git worktree add TREE COMMIT`). The builds take turns, each in a process of its
-own, once to compile and then `--times` times; of these the fastest counts.
+own, once to compile and then `--times` times; of these the fastest counts. `--times 0` counts the compilation.
 """
 
 from __future__ import annotations
@@ -33,13 +34,14 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
 
-RECORDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "viscous friction": ("sweep", ("viscous_friction", "disturbance=0")),
-    "two effects, shaken": ("multisine", ("coulomb_friction", "cubic_stiffness", "disturbance=5,0.3")),
+RECORDS: Mapping[str, tuple[str, str, tuple[str, ...]]] = {
+    "viscous friction": ("monocab", "sweep", ("viscous_friction", "disturbance=0")),
+    "two effects, shaken": ("monocab", "multisine", ("coulomb_friction", "cubic_stiffness", "disturbance=5,0.3")),
+    "robot on a slope": ("twsbr", "square", ("slope", "disturbance=1")),
 }
-"""Experiment, and what is hidden."""
+"""Vehicle, experiment, and what is hidden."""
 SEED = 9
-"""Of both recordings. No setting was chosen on them."""
+"""Of all recordings. No setting was chosen on them."""
 COUNTED = {
     "fits": ("estimators", "fit"),
     "attach": ("models", "attach"),
@@ -53,36 +55,39 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--other", type=Path, help="a checkout of the build to compare with")
     parser.add_argument("--times", type=int, default=2, help="measured diagnoses of each record and build")
-    parser.add_argument("--count", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=RECORDS, help="this record alone")
+    parser.add_argument("--count", nargs=2, metavar=("VEHICLE", "RECORDING"), help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.count:
-        print(json.dumps(counted(chosen.count)))
+        print(json.dumps(counted(*chosen.count)))
         return
     trees = {"this build": Path(__file__).resolve().parents[1]}
     if chosen.other:
         trees["the other"] = chosen.other.resolve()
     with tempfile.TemporaryDirectory() as folder:
-        for number, (name, (experiment, hidden)) in enumerate(RECORDS.items()):
-            recording = Path(folder) / f"{number}.arrow"
-            make(recording, experiment, hidden)
-            found = taken_in_turn(trees, recording, chosen.times)
-            show(name, found)
+        for number, (name, (vehicle, experiment, hidden)) in enumerate(RECORDS.items()):
+            if chosen.only in (None, name):
+                recording = Path(folder) / f"{number}.arrow"
+                make(recording, vehicle, experiment, hidden)
+                show(name, taken_in_turn(trees, vehicle, recording, chosen.times))
 
 
-def make(path: Path, experiment: str, hidden: Sequence[str]) -> None:
-    """Write a recording of a minute of free motion."""
+def make(path: Path, vehicle: str, experiment: str, hidden: Sequence[str]) -> None:
+    """Write a recording: of the MONOCAB a minute of free motion, of the robot the whole experiment."""
     from benchmarks.diagnosing import minute
+    from service.virtual.run import record
     from telemetry.storage import save
 
-    save(minute(experiment, hidden, SEED), path)
+    recording = minute(experiment, hidden, SEED) if vehicle == "monocab" else None
+    save(recording or record(vehicle, experiment, hide=list(hidden), seed=SEED), path)
 
 
-def taken_in_turn(trees: Mapping[str, Path], recording: Path, times: int) -> dict[str, dict[str, Any]]:
+def taken_in_turn(trees: Mapping[str, Path], vehicle: str, recording: Path, times: int) -> dict[str, dict[str, Any]]:
     """The counts of each build, with its least seconds."""
     best: dict[str, dict[str, Any]] = {}
     for _ in range(1 + times):
         for name, tree in trees.items():
-            command = [sys.executable, __file__, "--count", str(recording)]
+            command = [sys.executable, __file__, "--count", vehicle, str(recording)]
             done = subprocess.run(
                 command, env={**os.environ, "PYTHONPATH": str(tree)}, cwd=tree, capture_output=True, text=True
             )
@@ -103,7 +108,7 @@ def show(name: str, found: Mapping[str, dict[str, Any]]) -> None:
         print(f"  the other takes {other['seconds'] / this['seconds']:.2f} times as long")
 
 
-def counted(recording: Path) -> dict[str, Any]:
+def counted(vehicle: str, recording: str) -> dict[str, Any]:
     """One diagnosis on the command line of the build that is imported, with its counts."""
     app = importlib.import_module("service.cli").app
     for package in PACKAGES:
@@ -114,10 +119,10 @@ def counted(recording: Path) -> dict[str, Any]:
         _wrap(package, name, key, counts)
     kernel = next(m.Kernel for n, m in sys.modules.items() if n.startswith("models.") and n.endswith(".kernel"))
     kernel.run = _counting(kernel.run, "passes", counts)
-    text, begun = io.StringIO(), time.perf_counter()
+    text, begun = io.StringIO(), time.process_time()
     with contextlib.redirect_stdout(text):
-        app(["diagnose", str(recording), "--budget", "inf", "--json"], standalone_mode=False)
-    seconds = time.perf_counter() - begun
+        app(["diagnose", recording, "--vehicle", vehicle, "--budget", "inf", "--json"], standalone_mode=False)
+    seconds = time.process_time() - begun
     names = [each["effect"] for each in json.loads(text.getvalue())["findings"]]
     return {**counts, "seconds": seconds, "found": names}
 
