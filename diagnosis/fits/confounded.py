@@ -21,7 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.fits.refit import CREEPING, FURTHER_FITS, FullFit, full, log_likelihood, off_prior, with_effect
+from diagnosis.fits.refit import (
+    CREEPING,
+    FURTHER_FITS,
+    FullFit,
+    as_evident,
+    full,
+    log_likelihood,
+    off_prior,
+    with_effect,
+)
 from diagnosis.prediction.ahead import errors
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
@@ -80,20 +89,9 @@ def _fitted(base: FullFit, workspace: Workspace, start: tuple[Candidate, Model])
     (candidate, wider), hurried = start, workspace.for_one
 
     def one() -> FullFit:
-        return _other_way_round(_as_evident(base, wider, hurried, candidate), hurried)
+        return _other_way_round(as_evident(base, wider, hurried, candidate, longer=FURTHER_FITS), hurried)
 
     return workspace.in_time(one, candidate.name)
-
-
-def _as_evident(
-    base: FullFit, model: Model, workspace: Workspace, candidate: Candidate, begin: Begin | None = None
-) -> FullFit:
-    """The full fit of `model`, the one of `base` with the candidate. Where little more is expected, it goes on only if
-    there is evidence for the candidate there: most have none."""
-    found = full(model, workspace, candidate, begin, enough=CREEPING)
-    if found.evidence <= base.evidence:
-        return found
-    return full(model, workspace, candidate, found.fit.end, longer=FURTHER_FITS)
 
 
 def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
@@ -116,7 +114,7 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
 
     def fitted(end: Begin) -> FullFit | None:
         try:
-            return _as_evident(base, starts[0], workspace, candidate, end)
+            return as_evident(base, starts[0], workspace, candidate, end, FURTHER_FITS)
         except FAILURES:
             return None
 

@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 
 from diagnosis.fits.input_noise import not_acting
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, full
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, as_evident, full
 from diagnosis.lack_of_fit.colour import Signal, same, signals
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.side_by_side import side_by_side
@@ -103,12 +103,12 @@ def _with(model: Model, part: Signal | InputNoise, workspace: Workspace) -> Mode
 
 
 def _continued(fitted: FullFit, workspace: Workspace, wider: Model) -> FullFit | None:
-    """The fit of the `wider` model from the end of `fitted`, exact, since a torque and a sensor's error about the same
-    frequency may be almost equally likely; None if it fails."""
+    """The fit of the `wider` model from the end of `fitted`; None if it fails. If it has evidence, it is exact, since
+    a torque and a sensor's error about the same frequency may be almost equally likely."""
 
     def fit() -> FullFit:
         begin = _begin(fitted.fit, workspace.problem(wider))
-        return full(wider, workspace, fitted.candidate, begin, longer=FURTHER_FITS, enough=ENOUGH)
+        return as_evident(fitted, wider, workspace, fitted.candidate, begin, FURTHER_FITS, ENOUGH)
 
     return tried(fit)
 

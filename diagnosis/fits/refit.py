@@ -22,6 +22,7 @@ from diagnosis.score.score_test import Score
 from diagnosis.score.whitened import whitening
 from estimators.budget import UNLIMITED
 from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.fit.maximum_likelihood import CREEPING as CREEPING
 from estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit, fit
 from estimators.fit.result import inverse
 from models.model import Model
@@ -51,8 +52,6 @@ LEAST = 0.05
 ROUGH = 0.01
 """Share of what the best effect explains to which a quick fit is accurate: a fiftieth of what it decides, whether an
 effect explains half as much (diagnosis.search.contenders)."""
-CREEPING = 1.0
-"""Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,16 +199,37 @@ def full(
     begin: Begin | None = None,
     longer: int = 0,
     enough: float = COMPARED,
+    near: Fit | None = None,
 ) -> FullFit:
-    """The fit of `model` with its noise, starting from its values, or from `begin`, until the cost is not expected to
-    fall by more than `enough`. `candidate` is the effect that was added last. A fit that does not converge is continued
-    from its end, up to `longer` times, as long as that makes a difference."""
-    fitted = fit(workspace.problem(model), begin=begin, enough=enough)
+    """The fit of `model` with its noise until the cost is not expected to fall by more than `enough`.
+
+    It starts from the model's values, from `begin` or from its fit `near`. `candidate` is the effect that was added
+    last. A fit that does not converge is continued from its end, up to `longer` times, as long as that makes a
+    difference.
+    """
+    fitted = fit(workspace.problem(model), near=near, begin=near.end if near else begin, enough=enough)
     for _ in range(longer):
         if fitted.minimum.converged or _creeps(fitted):
             break
         fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end, enough=enough)
     return _full(model, fitted, workspace, candidate)
+
+
+def as_evident(
+    other: FullFit,
+    model: Model,
+    workspace: Workspace,
+    candidate: Candidate | None = None,
+    begin: Begin | None = None,
+    longer: int = 0,
+    enough: float = COMPARED,
+) -> FullFit:
+    """The fit of `model`, with arguments as of `full`. Where little more is expected, it goes on only if it may end
+    with more evidence than `other`: most do not."""
+    found = full(model, workspace, candidate, begin, enough=CREEPING)
+    if found.evidence + CREEPING <= other.evidence:
+        return found
+    return full(model, workspace, candidate, longer=longer, enough=enough, near=found.fit)
 
 
 def exactly(fitted: FullFit, workspace: Workspace) -> FullFit:

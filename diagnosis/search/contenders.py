@@ -23,6 +23,7 @@ from diagnosis.fits.refit import (
     FURTHER_FITS,
     FullFit,
     QuickFit,
+    as_evident,
     full,
     quick,
     with_effect,
@@ -153,7 +154,7 @@ def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
     begin = Begin({**end.values, **{name: other.values[name] for name in its if name in other.values}}, other.noise)
     if len(end.noise) != len(other.noise):
         return fitted
-    found = workspace.in_time(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
+    found = workspace.in_time(partial(as_evident, fitted, fitted.model, workspace.for_one, fitted.candidate, begin))
     return found if found is not None and found.fit.minimum.converged else fitted
 
 

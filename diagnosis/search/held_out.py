@@ -120,13 +120,11 @@ def with_possible_noise(fitted: Fit) -> Fit:
     least = (deviations > SHOWN) & (logarithms < 0.0)
     if not least.any():
         return fitted
-    likelihood = Likelihood(fitted.problem, noise, fitted.minimum.common, fitted.prior)
+    likelihood = Likelihood(fitted.problem, noise, fitted.minimum.common, fitted.prior).held(fitted.minimum.common)
 
     def seen(share: float) -> Seen | None:
         """The likelihood with the noises that do not show moved by `share` of the way to what is stated."""
-        common = fitted.minimum.common.copy()
-        common[size:] = np.where(least, (1.0 - share) * logarithms, logarithms)
-        return likelihood.of_data(common, fitted.minimum.own)
+        return likelihood.of_data(np.where(least, (1.0 - share) * logarithms, logarithms), fitted.minimum.own)
 
     ended = seen(0.0)
     if ended is None:

@@ -22,6 +22,7 @@ from diagnosis.fits.finer import finest
 from diagnosis.fits.refit import (
     CREEPING,
     FullFit,
+    as_evident,
     full,
     inside_bounds,
     log_ratio,
@@ -206,7 +207,7 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
     its = is_of_disturbance(task.model)
     values = {name: value for name, value in end.values.items() if name not in its}
     begin = Begin(values, noise_of(task, shaken=-WIDEST, white=-WIDEST))
-    again = workspace.in_time(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
+    again = workspace.in_time(partial(as_evident, fitted, fitted.model, workspace.for_one, fitted.candidate, begin))
     if again is None or not again.fit.minimum.converged:
         return fitted
     return again if again.log_likelihood > fitted.log_likelihood + CREEPING else fitted

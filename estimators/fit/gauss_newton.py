@@ -139,6 +139,7 @@ def descend(
     tolerance: float,
     enough: float,
     watched: int | None = None,
+    is_finite: Callable[[Array, Sequence[Array]], bool] | None = None,
 ) -> tuple[Minimum, E] | None:
     """Minimises the cost from `common` (p,) and `own`; returns the minimum and the expansion there. `scale` (p,) are
     typical magnitudes of `common`.
@@ -146,8 +147,8 @@ def descend(
     The descent has converged if no step moves one of the first `watched` parameters (all by default) by more than
     `tolerance` of its scale, or if the cost is not expected to fall by more than `enough`: with residuals of unit
     variance a fall of x moves no parameter by more than sqrt(2 x) standard deviations. The last step is still made,
-    unless its end has no finite cost; the expansion is that at its beginning. None if the start itself has no finite
-    cost.
+    unless its end has no finite cost, which `is_finite` says without an expansion; the result's expansion is that at
+    its beginning. None if the start itself has no finite cost.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]
@@ -181,7 +182,7 @@ def descend(
         moves = [-(gain @ step + offset) for gain, offset in parts]
         trial_own = [part + move for part, move in zip(own, moves, strict=True)]
         if done:
-            if expand(trial, trial_own) is not None:
+            if is_finite(trial, trial_own) if is_finite else expand(trial, trial_own) is not None:
                 common, own = trial, trial_own
             break
         linear, plain, more = (float(each) for each in (slope @ step, step @ reduced @ step, step @ missing @ step))

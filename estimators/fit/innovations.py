@@ -38,6 +38,9 @@ STEP = 1e-4
 """Step of an argument of the gain for a numerical derivative, relative to its typical magnitude."""
 SETTLED = 1e-8
 """Largest relative change of a covariance by the last doubling."""
+RESOLUTION = 1e-5
+"""Share of an output's standard deviation that is added as noise if the output is identical to another, as with both
+wheels of a vehicle that is symmetric to the last bit."""
 FLOOR = 1e-6
 """Process noise that every state has, relative to the process noise of the model: keeps every mode observable."""
 
@@ -98,8 +101,8 @@ class NoiseModel:
     """Which output's noise is integrated in which state, (nx, ny) of 0 and 1."""
     rest: Segment
     """Inputs at which the model is linearised."""
-    copies: tuple[int, ...]
-    """Outputs that are identical to an earlier one."""
+    added: Array
+    """Noise (ny,) that is added to each output: RESOLUTION if it is identical to an earlier one, otherwise 0."""
     motion: Array
     """State (nx,) at which the model is linearised."""
 
@@ -135,7 +138,7 @@ class NoiseModel:
             spread=spread,
             integrated=np.array([[float(state.noise_of == output.name) for output in outputs] for state in states]),
             rest=at_rest(problem.kernel, problem.segments, spacing),
-            copies=tuple(place for place, each in enumerate(outputs) if same.get(each.name, each.name) != each.name),
+            added=_added(problem, same),
             motion=typical_motion(problem.model, problem.segments),
         )
 
@@ -263,6 +266,16 @@ def _identical(problem: Problem) -> dict[str, str]:
     return same
 
 
+def _added(problem: Problem, same: dict[str, str]) -> Array:
+    """`added` of NoiseModel."""
+    added = np.zeros(len(problem.model.outputs))
+    for place, output in enumerate(problem.model.outputs):
+        if same.get(output.name, output.name) != output.name:
+            measured = np.concatenate([each.measured[:, place] for each in problem.segments])
+            added[place] = RESOLUTION * np.nanstd(measured)
+    return added
+
+
 def _places(names: Sequence[str], same: dict[str, str], *, first: int) -> tuple[int, ...]:
     """Numbers from `first` on for `names`, the same for those that are identical."""
     number: dict[str, int] = {}
@@ -295,7 +308,7 @@ class _Steady:
         moved = half + _turned(half) + process + L @ sensor @ L.T
         states = len(A)
         system = np.eye(states**2) - np.kron(closed, closed)
-        spread = np.linalg.solve(system, moved.reshape(len(moved), -1).T).T.reshape(moved.shape)
+        spread = np.linalg.solve(system, moved.reshape(len(moved), states**2).T).T.reshape(moved.shape)
         seen = spread @ C.T + P @ _turned(output)
         innovation = output @ P @ C.T + C @ seen + sensor
         ahead = transition @ P @ C.T + A @ seen + across - L @ innovation
@@ -305,7 +318,7 @@ class _Steady:
         half = _turned(output) @ known
         return SteadyState(
             gain=self.gain,
-            slopes=np.ascontiguousarray(gain.reshape(len(gain), -1).T),
+            slopes=np.ascontiguousarray(gain.reshape(len(gain), self.gain.size).T),
             predictor=closed,
             predictor_slopes=transition - ahead @ C - L @ output,
             sample=C.T @ known,

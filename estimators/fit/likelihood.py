@@ -28,10 +28,6 @@ Array = NDArray[np.float64]
 
 FLOOR = 10.0
 """Innovations below this factor of a sensor's known noise carry no information about the vehicle."""
-RESOLUTION = 1e-5
-"""Share of an output's standard deviation that is added as noise if the output is identical to another, as with both
-wheels of a vehicle that is symmetric to the last bit."""
-
 DIVERGED = 1e15
 """Condition number of the innovations' covariance above which a predictor has diverged, even if it is still finite."""
 
@@ -72,6 +68,25 @@ class Likelihood:
         prior = Normal(np.diag(self.prior), self.prior * off)
         return replace(seen, cost=seen.cost + 0.5 * float(off @ prior.vector), normals=(*seen.normals, prior))
 
+    def held(self, common: Array) -> Likelihood:
+        """V as a function of the logarithms of the noise alone, (q,), with the parameters held as in `common` (p + q,):
+        its passes have fewer columns."""
+        size = len(self.task.free)
+        values = self.task.values(common[:size])
+        task = replace(self.task, kernel=replace(self.task.kernel, defaults=values), free=())
+        return Likelihood(task, replace(self.noise, problem=task), self.centre[size:], self.prior[size:])
+
+    def is_finite(self, common: Array, own: Sequence[Array]) -> bool:
+        """Whether the predictor exists and does not diverge there, from passes without derivatives."""
+        task, size = self.task, len(self.task.free)
+        task.budget.check()
+        values = task.values(common[:size])
+        gain = self.noise.gain(values, common[size:])
+        return gain is not None and not any(
+            task.kernel.run(segment, values, task.begin(initial, part), gain=gain, substeps=task.substeps).diverges
+            for segment, initial, part in zip(task.segments, task.initials, own, strict=False)
+        )
+
     def of_data(self, common: Array, own: Sequence[Array], also: tuple[int, ...] = ()) -> Seen | None:
         """V without the prior. `also`: indices of further parameters to differentiate by, after the logarithms."""
         task, noise, size = self.task, self.noise, len(self.task.free)
@@ -90,8 +105,7 @@ class Likelihood:
         at_start = stationary_start(noise, values, common[size:], steady, order[: size + noise.size])
         spread = at_start.spread
         for segment, initial, part in zip(task.segments, task.initials, own, strict=False):
-            start = initial.copy()
-            start[list(task.own)] = part
+            start = task.begin(initial, part)
             run = kernel.run(
                 segment, values, start, gain=gain, gain_slopes=by_gain, active=active, substeps=task.substeps
             )
@@ -131,12 +145,7 @@ class Likelihood:
         """Floor that is added to the innovations' variances, (ny,)."""
         outputs = self.task.model.outputs
         known = np.array([(FLOOR if output.noise_known else 1e-9) * output.noise for output in outputs])
-        identical = np.zeros(len(outputs))
-        for place in self.noise.copies:
-            identical[place] = RESOLUTION * np.nanstd(
-                np.concatenate([each.measured[:, place] for each in self.task.segments])
-            )
-        return np.asarray(known**2 + identical**2)
+        return np.asarray(known**2 + self.noise.added**2)
 
 
 def _at_least(covariance: Array, least: Array) -> Array:

@@ -50,6 +50,10 @@ class InLogarithms:
             normals.append(Normal(factor[:, None] * normal.matrix * factor, factor * normal.vector))
         return replace(seen, normals=tuple(normals))
 
+    def is_finite(self, common: Array, own: Sequence[Array]) -> bool:
+        """Whether the predictor exists and does not diverge at `common` (p + q,)."""
+        return self.likelihood.is_finite(self.natural(common), own)
+
     def natural(self, common: Array) -> Array:
         """The unknowns of the likelihood itself."""
         return np.where(self.places, np.exp(np.where(self.places, common, 0.0)), common)

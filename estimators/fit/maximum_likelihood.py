@@ -8,7 +8,7 @@ together, each segment with its own initial state. Source: Ljung, "System identi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,8 @@ SETTLING = 3
 """Steps of the initial states alone, if a fit begins at values that were fitted to other data."""
 ITERATIONS = 200
 """Largest number of steps. A robot with seven highly correlated parameters takes up to 102 (60 fits of 30 records)."""
+CREEPING = 1.0
+"""Rise of the log-likelihood, in nats, that is too small to decide anything."""
 ENOUGH = 1e-3
 """Rise of the log-likelihood below which no further step is made: no parameter would move by a twentieth of its
 standard deviation."""
@@ -83,12 +85,7 @@ class Fit:
     @property
     def starts(self) -> list[Array]:
         """The fitted initial state of each segment, (nx,)."""
-        starts = []
-        for initial, part in zip(self.problem.initials, self.minimum.own, strict=False):
-            start = initial.copy()
-            start[list(self.problem.own)] = part
-            starts.append(start)
-        return starts
+        return list(map(self.problem.begin, self.problem.initials, self.minimum.own))
 
     def information(self, held: tuple[int, ...]) -> Array:
         """Information (k, k) of the data on the estimated unknowns and on the parameters at `held`, without the prior.
@@ -142,18 +139,24 @@ def fit(
 
     Noise and initial states start as in the fit `near` to the same data, if it is given. White process noise and a
     disturbance are confusable: the residual torque may first be attributed to the one that is finally less likely. So
-    if neither `near` nor `begin` is given, a second fit starts with a large disturbance and little white noise, and the
-    likelier result is returned. Raises ArithmeticError if the model diverges at the start values.
+    if neither `near` nor `begin` is given, a second fit starts with a large disturbance and little white noise. Both
+    end where little more is expected, and only the likelier one is continued. Raises ArithmeticError if the model
+    diverges at the start values.
     """
     starts = [begin] if begin is not None or near is not None else _starts(task)
+    roughly = enough if len(starts) == 1 else max(enough, CREEPING)
     found: list[Fit] = []
     for place, start in enumerate(starts):
         try:
-            found.append(_fit(task, prior, iterations, near, start, enough))
+            found.append(_fit(task, prior, iterations, near, start, roughly))
         except ArithmeticError:
             if place == len(starts) - 1 and not found:
                 raise
-    return min(found, key=lambda each: each.minimum.cost)
+    best = min(found, key=lambda each: each.minimum.cost)
+    if roughly == enough or not best.minimum.converged:
+        return best
+    ended = _fit(task, prior, iterations, best, best.end, enough)
+    return replace(ended, steps=(*best.steps, *ended.steps))
 
 
 def _starts(task: Problem) -> list[Begin | None]:
@@ -195,7 +198,7 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
             return seen
 
         if begin is not None and near is None and not steps:
-            own = _settled(expand, inside.inside(common), own)
+            own = _settled(likelihood, common, own)
         found = descend(
             expand,
             inside.inside(common),
@@ -207,6 +210,7 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
             tolerance=1e-6,
             enough=enough,
             watched=size,
+            is_finite=inside.is_finite,
         )
         if found is None:
             raise ArithmeticError("the model diverges at the start values although the filter corrects it")
@@ -222,17 +226,16 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
         likelihood = replace(likelihood, task=task)
 
 
-def _settled(
-    expand: Callable[[Array, Sequence[Array]], Seen | None], common: Array, own: Sequence[Array]
-) -> list[Array]:
+def _settled(likelihood: Likelihood, common: Array, own: Sequence[Array]) -> list[Array]:
     """Initial states fitted at the values `common`, which are held."""
+    noise = common[len(likelihood.task.free) :]
     found = descend(
-        expand,
-        common,
+        likelihood.held(common),
+        noise,
         [*own, np.zeros(0)],
-        scale=np.ones(len(common)),
-        lower=common,
-        upper=common,
+        scale=np.ones(len(noise)),
+        lower=noise,
+        upper=noise,
         iterations=SETTLING,
         tolerance=1e-6,
         enough=ENOUGH,

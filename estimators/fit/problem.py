@@ -102,6 +102,12 @@ class Problem:
         values[list(self.free)] = common
         return values
 
+    def begin(self, initial: Array, part: Array) -> Array:
+        """The initial state (nx,) of a segment, `part` (k,) of which is fitted; the rest is as in `initial` (nx,)."""
+        start = initial.copy()
+        start[list(self.own)] = part
+        return start
+
     def refined(self, common: Array) -> Problem:
         """With steps short enough for the model at `common`: friction that starts at zero makes it stiff later."""
         enough = _substeps(self.model, self.kernel, self.values(common), self.segments)
@@ -160,8 +166,7 @@ class Problem:
         active = (*free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
         spread = self.spread
         for segment, initial, part in zip(self.segments, self.initials, own, strict=True):
-            start = initial.copy()
-            start[list(self.own)] = part
+            start = self.begin(initial, part)
             run = self.kernel.run(segment, values, start, gain=gain, active=active, substeps=self.substeps)
             if run.diverges:
                 return None

@@ -180,7 +180,7 @@ class Daemon:
             self._buses = None
 
     def _on_frames(self, frames: list[CanFrame]) -> None:
-        """The loop's work on the frames of one wake-up, and how long it took."""
+        """The loop's work on the frames of one wake-up, and how long it took; then the clients have their turns."""
         loop, began_ns = self.loop, time.monotonic_ns()
         cycles = loop.cycles
         loop.on_frames(frames)
@@ -189,16 +189,11 @@ class Daemon:
             loop.timing.processing.add((ended_ns - began_ns) * 1e-9)
             if not self._lock_step:
                 loop.timing.turnaround.add((ended_ns + self._clock.base_ns - loop.last_ns) * 1e-9)
+            self._turns.take()
 
     def _send(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
         if self._buses is not None:
             self._buses.send(0, can_id, data, timestamp_ns)
-
-    def _on_frames(self, frames: list[CanFrame]) -> None:
-        cycles = self.loop.cycles
-        self.loop.on_frames(frames)
-        if self.loop.cycles != cycles:
-            self._turns.take()
 
     def _on_unclaimed_frame(self, frame: CanFrame) -> None:
         if self._link is not None and frame.bus == 0:
