@@ -225,12 +225,12 @@ class Soak:
         return status
 
 
-def vehicle_file(duration: float) -> str:
+def vehicle_file(names: Sequence[str], duration: float) -> str:
     """The shipped MONOCAB with experiments of at most `duration` s, for a computer that is not real-time: a delay of
     it shall be a missed cycle in the table, and not end the soak."""
     vehicle = load("monocab")
     text = Path(vehicle.path).read_text()
-    for name in EXPERIMENTS:
+    for name in names:
         before, section = text.split(f"[experiments.{name}]")
         shipped = vehicle.experiments[name].duration
         short = section.replace(f"duration = {shipped}", f"duration = {min(shipped, duration)}", 1)
@@ -294,14 +294,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--bus", default="socketcan:vcan0", help="IFACE:CHANNEL")
     parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--experiment", action="append", help=f"may be repeated ({', '.join(EXPERIMENTS)})")
     parser.add_argument("--duration", type=float, default=30.0, help="s of each experiment at most")
     parser.add_argument("--virtual", action="store_true", help="the vehicle in the daemon's process, in lock-step")
     parser.add_argument("--json", type=Path, help="write what was measured to this file")
     options = parser.parse_args()
+    names = options.experiment or EXPERIMENTS
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         file, path = work / "monocab.toml", work / "s.sock"
-        file.write_text(vehicle_file(options.duration))
+        file.write_text(vehicle_file(names, options.duration))
         control = load(str(file)).control
         try:
             soak = begun(stack, options, file, path)
@@ -309,7 +311,7 @@ def main() -> int:
             print(f"{error}\nOr run this in tests/guest/vcan-guest, or with --virtual.", file=sys.stderr)
             return 1
         print(f"{'min':>5}  {'experiment':11}{'end':9}{'p50, p99 us':>14}{'missed':>14}{'heartbeat ms':>14}   MB")
-        for name in cycle(EXPERIMENTS):
+        for name in cycle(names):
             show(soak.run(name))
             for recording in work.glob(f"*_{name}.*"):  # else the soak fills the disk
                 recording.unlink()

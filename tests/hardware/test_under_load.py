@@ -30,11 +30,12 @@ def test_hostile_clients_neither_delay_the_control_loop_nor_end_an_experiment() 
     options = ("--kind", "all", "--rounds", "3", "--seconds", "3", "--json")
     found: dict[str, Any] = json.loads(run("clients.py", *options))
     (row,) = found["rows"]
-    assert row["ratios"]["p50"] < 1.25
+    assert row["ratios"]["p50"] < 1.5
     assert row["with"]["missed"] <= row["without"]["missed"] + 0.01 * row["with"]["cycles"]
     assert found["clients"]["refused"] > 100, "the clients were there"
 
 
 def test_short_soak_shows_no_growth_and_no_missed_heartbeat() -> None:
     """An hour is what docs/measurements/load.md shows; this finds what grows fast, and that the soak works."""
-    assert "Nothing grows" in run("soak.py", "--minutes", "1", "--duration", "1")
+    options = ("--minutes", "1", "--experiment", "step", "--experiment", "hold", "--duration", "1")
+    assert "Nothing grows" in run("soak.py", *options)
