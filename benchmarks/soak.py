@@ -110,9 +110,11 @@ class Witness:
         self.stamps: dict[int, list[int]] = {TRIGGER: [], REPLY: [], self._heartbeat: []}
 
     def discard(self) -> None:
-        """Forget what came until now, and what was lost of it."""
-        while self._bus.drain():
-            pass
+        """Forget what came until now, and what was lost of it, which the kernel says with the next frame."""
+        for _ in range(2):
+            while self._bus.drain():
+                pass
+            time.sleep(READ_PERIOD)
 
     def read(self) -> None:
         dropped = self._bus.statistics.receive_dropped

@@ -86,9 +86,11 @@ class Monitor:
         return triggers, replies
 
     def discard(self) -> None:
-        """Forget what came until now, and what was lost of it."""
-        for _ in self._drain():
-            pass
+        """Forget what came until now, and what was lost of it, which the kernel says with the next frame."""
+        for _ in range(2):
+            for _ in self._drain():
+                pass
+            time.sleep(READ_PERIOD)
 
     def close(self) -> None:
         self._bus.close()
