@@ -373,10 +373,11 @@ class Observer:
 
     def _retain(self, topic: str, document: dict[str, Any]) -> None:
         """Publish the latest `document` of a topic; a new state of the daemon is also reported to the journal."""
-        state = {name: document[name] for name in ("mode", "code", "reason")} if topic == "state" else self._state
+        names = ("mode", "code", "reason")
+        state = {name: document.get(name, "") for name in names} if topic == "state" else self._state
         if state != self._state:
             self._state = state
-            fields = {"UPRIGHT_CODE": state["code"], "UPRIGHT_EXPERIMENT": document["experiment"] or ""}
+            fields = {"UPRIGHT_CODE": state["code"], "UPRIGHT_EXPERIMENT": document.get("experiment") or ""}
             EVENTS.info("%s: %s", state["mode"], state["reason"] or state["code"], extra={"fields": fields})
         if self._mqtt is not None:
             self._mqtt.retain(topic, document)
