@@ -77,8 +77,9 @@ def service(silent_service: None) -> Iterator[dict[str, Any]]:
 
 def test_unit_file_passes_systemd_analyze() -> None:
     assert run("systemd-analyze", "verify", "upright.service") == ""
+    shipped = REPOSITORY / "systemd" / "upright.service"  # without the guest's drop-in, which opens /home and /tmp
     tenths = 15
-    assert "OK" in run("systemd-analyze", "security", f"--threshold={tenths}", "--no-pager", "upright.service")
+    run("systemd-analyze", "security", "--offline=true", f"--threshold={tenths}", "--no-pager", shipped)
 
 
 def test_realtime_drop_in_needs_nothing_else(tmp_path: Path) -> None:
