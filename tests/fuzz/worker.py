@@ -73,7 +73,7 @@ def with_atheris(target: Target, session: Session, folder: Path, number: int, ov
 
     diary = Diary(folder)
     options = [
-        "-timeout=0",
+        "-timeout=100000",
         "-rss_limit_mb=0",
         "-detect_leaks=0",
         "-max_len=65536",
