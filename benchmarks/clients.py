@@ -141,12 +141,12 @@ def measure(
         monitor.discard()
         for _ in range(rounds):
             for kind, window in found.items():
-                monitor.read(SETTLE_TIME)
+                monitor.discard()  # what came while processes began and ended
                 times, missed = answered(*monitor.read(seconds))
                 window.quiet.append(times)
                 window.quiet_missed += missed
                 with hostile(kind, path):
-                    monitor.read(SETTLE_TIME)
+                    monitor.discard()  # what came while processes began and ended
                     times, missed = answered(*monitor.read(seconds))
                 window.times.append(times)
                 window.missed += missed
