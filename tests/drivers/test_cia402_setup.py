@@ -461,3 +461,14 @@ def test_no_sdo_answer_whatever_raises_anything_but_a_set_up_error(
 
     Stranger(other, garbled)
     refused(network)
+
+
+@pytest.mark.parametrize(("subindex", "words"), [(3, "revision number"), (4, "serial number")])
+def test_drive_that_was_exchanged_since_the_last_set_up_is_refused(
+    network: canopen.Network, device: Device, subindex: int, words: str
+) -> None:
+    before = configure(network, SERVO, SUPERVISION)
+    assert configure(network, SERVO, SUPERVISION, before).serial_number == before.serial_number
+    device.set(0x1018, subindex, 0x77)
+    with pytest.raises(DriveSetupError, match=rf"{words}.*0x77.*restart the service"):
+        configure(network, SERVO, SUPERVISION, before)

@@ -42,7 +42,7 @@ def test_frozen_encoder_is_found_by_the_way_that_it_does_not_show(frozen: str) -
     still = angle(0.0), speed(0.0)
     position = (lambda time: still[0]) if frozen == "position" else angle
     rate = (lambda time: still[1]) if frozen == "rate" else speed
-    assert largest(position, rate, 0.2) > 0.4
+    assert largest(position, rate, 0.8) > 0.4
 
 
 def test_values_that_are_missing_begin_again() -> None:
