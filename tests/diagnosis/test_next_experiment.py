@@ -258,7 +258,7 @@ def test_command_runs_the_experiment_that_separates(tmp_path: Path) -> None:
 
     code, output = asyncio.run(run())
     assert code == ExitCode.REFUSED
-    assert requests == [{"verb": "experiment", "name": "square"}]
+    assert [(each["verb"], each["name"]) for each in requests] == [("experiment", "square")]
     assert "of square" in output
     assert "separates" in output
 

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from service.cli import app
 from service.control import api
+from service.control.server import ApiServer
 from service.doctor import collect
 from service.doctor.checks import CHECKS, Finding, Status, examine, worst
 from service.doctor.collect import Subject
@@ -248,7 +249,7 @@ async def test_running_daemon_is_asked_for_its_process_and_its_data(tmp_path: Pa
     async def answer(request: api.Message) -> AsyncGenerator[api.Message]:
         yield api.result(api.ExitCode.DONE, status=status)
 
-    daemon = api.ApiServer(tmp_path / "s.sock", answer)
+    daemon = ApiServer(tmp_path / "s.sock", answer)
     await daemon.start()
     try:
         facts, found = await asyncio.to_thread(collect.collect, Subject("monocab", tmp_path / "s.sock"))

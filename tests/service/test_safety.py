@@ -78,11 +78,11 @@ def watched(**changes: float) -> Callable[[Observation], None]:
 
 NAN = math.nan
 ALWAYS = [
-    (field(imu_age=0.020), Code.IMU_SILENT, ("20.0 ms", "3 cycles")),
+    (field(imu_age=0.040), Code.IMU_SILENT, ("40.0 ms", "7 cycles")),
     (field(imu_age=NAN), Code.IMU_SILENT, ()),
     (field(imu_health=ImuHealth.SILENT), Code.IMU_SILENT, ()),
     (field(imu_health=ImuHealth.STUCK, imu_text="IMU repeats itself"), Code.IMU_STUCK, ("IMU repeats itself",)),
-    (field(imu_frozen=4), Code.IMU_TIME, ("5 IMU frame sets", "same time stamp")),
+    (field(imu_frozen=8), Code.IMU_TIME, ("9 IMU frame sets", "same time stamp")),
     (field(imu_health=ImuHealth.OUT_OF_RANGE), Code.IMU_OUT_OF_RANGE, ("out of range",)),
     (field(imu_health=ImuHealth.WRONG_LENGTH), Code.IMU_FORMAT, ("another format",)),
     (field(angle=0.1), MonocabCode.ROLL, ("5.73 deg", "5.00 deg")),
@@ -92,7 +92,7 @@ ALWAYS = [
     (field(rate=math.inf), Code.NOT_FINITE, ("roll rate",)),
 ]
 ARMED = [
-    (drive(age=0.020), Code.DRIVE_SILENT, ("gimbal_right", "20.0 ms")),
+    (drive(age=0.040), Code.DRIVE_SILENT, ("gimbal_right", "40.0 ms")),
     (drive(age=NAN), Code.DRIVE_SILENT, ("gimbal_right",)),
     (drive(emergency="8130h heartbeat lost", emergency_code=0x8130), Code.DRIVE_EMERGENCY, ("gimbal_right", "8130h")),
     (drive(emergency="8250h RPDO timeout", emergency_code=0x8250), Code.DRIVE_EMERGENCY, ("gimbal_right", "8250h")),
@@ -106,7 +106,7 @@ ARMED = [
     (axes(trim_rate=0.16), MonocabCode.TRIM_RATE, ("trim mass rate of 0.160 m/s", "0.150 m/s")),
     (axes(trim_position=NAN), Code.NOT_FINITE, ("trim",)),
     (watched(gimbal_following=0.01), MonocabCode.GIMBAL_FOLLOWING, ("do not follow", "0.57 deg", "0.20 deg")),
-    (field(late_cycles=3), Code.DEADLINE, ("3 control cycles", "4 ms")),
+    (field(late_cycles=7), Code.DEADLINE, ("7 control cycles", "4 ms")),
 ]
 UPRIGHT = [
     (field(angle=-0.066), MonocabCode.FALLEN, ("lies on its support", "-3.78 deg", "3.70 deg")),
@@ -246,7 +246,7 @@ def test_what_stops_is_not_hidden_by_what_ends_in_order(
     ending: Callable[[Observation], None], _: Code, __: tuple[str, ...]
 ) -> None:
     """An experiment that is being ended goes on for seconds, and its reason with it."""
-    stops = [field(late_cycles=3), field(contradiction=6.5), field(angle=-0.066), drive(voltage=False)]
+    stops = [field(late_cycles=7), field(contradiction=6.5), field(angle=-0.066), drive(voltage=False)]
     for stopping in stops:
         seen = balancing()
         ending(seen)

@@ -39,7 +39,7 @@ def test_user_vehicle_file_loads_and_changes_the_hash(tmp_path: Path) -> None:
     [
         ("master_node = 127", "master_nod = 127", "control.master_nod", "Did you mean 'master_node'?"),
         ("rate = 250 ", "rate = 240 ", "control.rate", "does not stream at 240 Hz"),
-        ("heartbeat_timeout = 0.12", "heartbeat_timeout = 0.05", "control", "at least twice heartbeat_period"),
+        ("heartbeat_timeout = 0.12", "heartbeat_timeout = 0.03", "control", "at least twice heartbeat_period"),
         ("support_deg = 4.0", "support_deg = 5.0", "limits", "resting on a support would be a fault"),
         ("precession_budget_deg = 45.0", "precession_budget_deg = 75.0", "limits", "cannot end in an orderly way"),
         ("precession_deg = 60.0", "precession_deg = 95.0", "limits.precession_deg", "below 90"),

@@ -23,10 +23,10 @@ from fuzz.mutation import mutated
 from fuzz.target import Refused, Target, Trial
 from fuzz.targets.bus import OpenBench
 from fuzz.targets.recordings import written
-from service.control.api import ApiServer
 from service.control.commands import Commands
 from service.control.loop import Mode
 from service.control.mqtt_replies import MqttReplies
+from service.control.server import ApiServer
 from service.dashboard.app import Dashboard, Settings
 from service.dashboard.jobs import Job, Jobs
 from service.mqtt.command_inbox import CommandInbox
