@@ -31,6 +31,7 @@ from service.dashboard.app import Dashboard, Settings
 from service.dashboard.jobs import Job, Jobs
 from service.mqtt.command_inbox import CommandInbox
 from service.mqtt.topics import ARGUMENTS
+from service.turns import Turns
 from service.virtual.run import Witness
 from vehicles.file import load
 
@@ -204,18 +205,16 @@ def socket_inputs() -> st.SearchStrategy[bytes]:
 @asynccontextmanager
 async def control_socket(folder: Path) -> AsyncIterator[Exchange]:
     served = Served(folder)
-    server = ApiServer(folder / "s.sock", served.commands.answer, served.commands.sign)
-    raised: list[Exception] = []
-    serve = server._serve
-
-    async def watched(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            await serve(reader, writer)
-        except Exception as error:  # a callback's exception is only logged by asyncio
-            raised.append(error)
-
-    server._serve = watched  # type: ignore[method-assign]
+    turns = Turns()
+    server = ApiServer(folder / "s.sock", served.commands.answer, served.commands.sign, turns)
     await server.start()
+
+    async def taking() -> None:
+        while True:
+            turns.take()
+            await asyncio.sleep(0.0005)
+
+    cycles = asyncio.create_task(taking(), name="turns")
 
     async def exchange(data: bytes) -> None:
         served.begin()
@@ -231,15 +230,17 @@ async def control_socket(folder: Path) -> AsyncIterator[Exchange]:
         writer.close()
         served.end()
         await until(lambda: not server._connections, "the connection of a client that has gone stays open")
-        if raised:
-            raise raised.pop()
+        if cycles.done():
+            cycles.result()  # raises what ended it
         last = json.loads(answer.splitlines()[-1]) if answer.endswith(b"\n") else {}
+        assert last.get("code") != "internal_error", last.get("text")
         if last.get("exit_code") != 0:
             raise Refused(str(last.get("text", "no answer")))
 
     try:
         yield exchange
     finally:
+        cycles.cancel()
         await server.close()
 
 
@@ -249,13 +250,25 @@ COMMANDS = tuple(
     {"id": "1", "client": "page", "timestamp": 0.0, "arguments": arguments}
     for arguments in ({}, {"name": "hold"}, {"now": True}, {"name": "sweep"})
 )
-REPLY = re.compile(r"reply/[A-Za-z0-9_-]{1,40}")
+REPLY = re.compile(r"reply/[A-Za-z0-9_.@-]{1,64}/[A-Za-z0-9_-]{1,40}")
 
 
 def mqtt_inputs() -> st.SearchStrategy[bytes]:
-    """Verb, whether it was retained, and the payload."""
+    """Verb, or user and verb, whether it was retained, and the payload."""
     verbs = st.sampled_from(
-        [*(verb.encode() for verb in ARGUMENTS), b"status", b"design", b"gone", b"", b"x/y", b"#", b"\xff"]
+        [
+            *(verb.encode() for verb in ARGUMENTS),
+            b"status",
+            b"design",
+            b"gone",
+            b"",
+            b"x/y",
+            b"you/stop",
+            b"/stop",
+            b"+/stop",
+            b"#",
+            b"\xff",
+        ]
     )
     payload = st.one_of(one_line(COMMANDS), st.binary(max_size=200), st.just(b" " * 5000))
     return st.tuples(verbs, st.sampled_from((b"\n0", b"\n0", b"\n0", b"\n1")), payload).map(b"".join)
@@ -279,7 +292,7 @@ async def mqtt(folder: Path) -> AsyncIterator[Exchange]:
         nonlocal number
         number += 1
         served.begin()
-        verb, _, rest = data.partition(b"\n")
+        topic, _, rest = data.partition(b"\n")
         now = 0.5 * number
         payload = (
             rest[1:]
@@ -287,7 +300,8 @@ async def mqtt(folder: Path) -> AsyncIterator[Exchange]:
             .replace(b'"id": "1"', b'"id": "%d"' % number)
         )
         passed = inbox.gate.counts["passed"]
-        inbox.take(verb.decode(errors="replace"), payload, rest[:1] == b"1")
+        user, there, verb = topic.decode(errors="replace").rpartition("/")
+        inbox.take(user if there else "me", verb, payload, rest[:1] == b"1")
         await served.passing(2)
         served.end()
         await until(lambda: not replies._running, "a command is answered for ever")
