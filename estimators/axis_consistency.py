@@ -1,38 +1,40 @@
 """Do position and rate of an axis tell of the same motion?
 
 The change of the position and the integral of the rate differ by the resolution of the one and the filter of the
-other, which do not add up, and by an error of scale. What is beyond that is added up and forgotten at the rate of that
-error (a CUSUM: Page, Biometrika 41 (1954) 100).
+other, which do not add up, and by an error of scale. The difference is added up, and forgotten at the rate of that
+error. A late time stamp adds what the next one takes away.
 """
 
 from __future__ import annotations
+
+from math import copysign
 
 SCALE = 0.1
 """Share by which rate and position may differ for ever: an error of units, which is an effect to be diagnosed."""
 
 
 class AxisConsistency:
-    """Pass every cycle to `update`, which returns by how much the two differ, in the unit of the position."""
+    """Pass every answer of a drive to `update`. It returns by how much the two differ, in the unit of the position: the
+    smaller of the last two differences, since a time stamp may be late once."""
 
-    __slots__ = ("_back", "_forth", "_position")
+    __slots__ = ("_difference", "_position", "_rate")
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Begin again: the next position is the first."""
-        self._position = float("nan")
-        self._forth = self._back = 0.0
+        self._position = self._rate = float("nan")
+        self._difference = 0.0
 
     def update(self, dt: float, position: float, rate: float) -> float:
         """`dt` s later; not a number at either begins again."""
-        turned = rate * dt
+        turned = 0.5 * (self._rate + rate) * dt
         error = position - self._position - turned
-        self._position = position
+        self._position, self._rate = position, rate
         if error != error:
-            self._forth = self._back = 0.0
+            self._difference = 0.0
             return 0.0
-        forgiven = SCALE * abs(turned)
-        self._forth = max(0.0, self._forth + error - forgiven)
-        self._back = max(0.0, self._back - error - forgiven)
-        return max(self._forth, self._back)
+        before, found = self._difference, self._difference + error
+        self._difference = copysign(max(0.0, abs(found) - SCALE * abs(turned)), found)
+        return min(abs(before), abs(self._difference))

@@ -17,26 +17,34 @@ HEAVY = 0.5
 SURE = log(1e9)
 """Nats. A bus with `USUAL` losses reaches them once in more than 1e9 cycles, 1,100 h at 250 Hz."""
 
+IN_A_ROW = 3
+"""Lost cycles in a row that count where a longer interruption has a limit of its own: it is one event, not a share."""
+
 _LOST = log(HEAVY / USUAL)
 _KEPT = log((1.0 - HEAVY) / (1.0 - USUAL))
 
 
 class LossTest:
-    """Count every cycle: `missed` ones, and then one that came. `evidence` (nats) is that of heavy losses."""
+    """Count every cycle. `evidence` (nats) is that of heavy losses; of lost cycles in a row, `in_a_row` count."""
 
-    __slots__ = ("evidence",)
+    __slots__ = ("_in_a_row", "_row", "evidence")
 
-    def __init__(self) -> None:
-        self.evidence = 0.0
+    def __init__(self, in_a_row: int = IN_A_ROW) -> None:
+        self._in_a_row = in_a_row
+        self.reset()
 
     def reset(self) -> None:
         """Forget what was lost."""
         self.evidence = 0.0
+        self._row = 0
 
     def came(self, missed: int = 0) -> None:
         """A cycle that was not lost, after `missed` ones that were."""
-        self.evidence = max(0.0, self.evidence + missed * _LOST + _KEPT)
+        self.evidence = max(0.0, self.evidence + min(missed, self._in_a_row) * _LOST + _KEPT)
+        self._row = 0
 
     def lost(self) -> None:
         """A cycle that was lost."""
-        self.evidence += _LOST
+        self._row += 1
+        if self._row <= self._in_a_row:
+            self.evidence += _LOST

@@ -19,6 +19,7 @@ SERVICES = (0x080, 0x580, HEARTBEAT_COB_ID)
 LSS, TIME = 0x7E4, 0x100
 
 OTHERS = "others"
+ENDLESS = 1 << 30
 
 
 class BusWatch:
@@ -29,7 +30,7 @@ class BusWatch:
         self._known = {service + node for service in SERVICES for node in nodes} | {LSS, TIME}
         self._event = event
         self._frames: dict[str, int] = {}
-        self._errors = LossTest()
+        self._errors = LossTest(in_a_row=ENDLESS)
         self._error: CanFrame | None = None
         self._said = False
 

@@ -49,6 +49,13 @@ def test_values_that_are_missing_begin_again() -> None:
     axis = AxisConsistency()
     assert axis.update(DT, math.nan, math.nan) == 0.0
     assert axis.update(DT, 5.0, 0.0) == 0.0
+    assert axis.update(DT, 6.0, 0.0) == 0.0
     assert axis.update(DT, 6.0, 0.0) == pytest.approx(1.0)
     assert axis.update(DT, math.nan, 0.0) == 0.0
     assert axis.update(DT, 6.0, 0.0) == 0.0
+
+
+def test_one_late_time_stamp_is_forgiven() -> None:
+    axis = AxisConsistency()
+    found = [axis.update(dt, place, 1.0) for dt, place in ((DT, 0.0), (DT, 0.004), (0.04, 0.008), (-0.032, 0.012))]
+    assert max(found) < 0.1 * 0.036

@@ -21,11 +21,21 @@ def cycles_until_sure(share: float, cycles: int, seed: int) -> int | None:
     return None
 
 
-@pytest.mark.parametrize(("share", "mean"), [(0.5, 32.0), (2 / 3, 20.0), (1.0, 9.5)])
+@pytest.mark.parametrize(("share", "mean"), [(0.5, 40.0), (2 / 3, 30.0), (0.75, 30.0)])
 def test_heavy_losses_are_found_within_some_cycles(share: float, mean: float) -> None:
     found = [cycles_until_sure(share, 1000, seed) for seed in range(200)]
     assert sum(cycle for cycle in found if cycle is not None) / len(found) < mean
     assert None not in found
+
+
+def test_interruption_is_one_event_unless_it_is_to_count_as_a_whole() -> None:
+    one, whole = LossTest(), LossTest(in_a_row=100)
+    for _ in range(50):
+        one.lost()
+        whole.lost()
+    other = LossTest()
+    other.came(missed=50)
+    assert other.evidence < one.evidence < SURE / 2 < SURE < whole.evidence
 
 
 def test_usual_losses_are_not() -> None:
