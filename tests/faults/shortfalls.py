@@ -61,6 +61,7 @@ SHORTFALLS: dict[str, str] = {
     ),
     # bus
     "loss_10": "hit the support at 13.4 deg/s, 12.8 deg/s with control switched off",
+    "loss_sent_50": "detected after 204 ms, allowed: 100 ms",
     "setpoints_lost_one": "hit the support at 12.9 deg/s, 12.8 deg/s with control switched off",
     "everything_shuffled": "hit the support at 14.4 deg/s, 12.8 deg/s with control switched off",
     # second master
