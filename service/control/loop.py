@@ -259,7 +259,8 @@ class ControlLoop:
         self, attitude: RollState, elapsed: float, dt: float, lean: Lean, drives: Measurement, command: Command
     ) -> Verdict:
         seen, run, watch, now_ns = self._seen, self.run, self.kind.watch, attitude.timestamp_ns
-        observe(seen, self.io, now_ns, drives, missed=max(0, round(elapsed / self._period) - 1))
+        period = self._period
+        observe(seen, self.io, now_ns, drives, period=period, missed=max(0, round(elapsed / period) - 1))
         watch.update(dt, lean, drives)
         seen.contradiction = self._consistency.update(attitude.contradiction, watch.acceleration)
         seen.imu_age = elapsed

@@ -23,14 +23,18 @@ def observation(io: VehicleIo) -> Observation:
     return Observation(drives=tuple(DriveObservation(drive.config.name) for drive in io.drives))
 
 
-def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement, *, missed: int) -> None:
-    """Update the observation with the drivers' state at `now_ns`; `missed` sets of the IMU should have come before."""
+def observe(
+    seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement, *, period: float, missed: int
+) -> None:
+    """Update the observation with the drivers' state at `now_ns`; `missed` sets of the IMU, one every `period` s,
+    should have come before."""
     seen.imu_losses.came(missed)
     for drive, entry in zip(io.drives, seen.drives, strict=True):
         answered_ns = min(drive.timestamp_ns, drive.statusword_timestamp_ns)
         if answered_ns != entry.answered_ns:
             elapsed = (answered_ns - entry.answered_ns) * 1e-9
-            entry.slip = entry.axis.update(elapsed, drive.position, drive.velocity) / drive.config.axis_per_turn
+            slip = entry.axis.update(elapsed, period, drive.position, drive.velocity)
+            entry.slip = slip / drive.config.axis_per_turn
             entry.answered_ns = answered_ns
             entry.losses.came()
         else:
