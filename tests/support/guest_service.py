@@ -69,6 +69,7 @@ def wait_for_mode(mode: Mode, seconds: float = 30.0) -> dict[str, Any]:
 
 def records(*matches: str) -> list[dict[str, Any]]:
     """The journal's records with these fields, FIELD=VALUE."""
+    run("journalctl", "--sync")  # what was sent just now, too
     lines = run("journalctl", "--output=json", "--no-pager", *matches).splitlines()
     return [json.loads(line) for line in lines]
 
