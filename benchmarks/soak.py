@@ -238,7 +238,7 @@ def vehicle_file(names: Sequence[str], duration: float) -> str:
         short = section.replace(f"duration = {shipped}", f"duration = {min(shipped, duration)}", 1)
         text = f"{before}[experiments.{name}]{short}"
     for old, new in (
-        ("missed_cycles = 3 ", "missed_cycles = 50 "),
+        ("missed_cycles = 7 ", "missed_cycles = 50 "),
         ("heartbeat_timeout = 0.12", "lease = 2.0\nheartbeat_timeout = 0.6"),
     ):
         assert old in text
