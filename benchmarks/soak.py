@@ -33,10 +33,10 @@ from scipy.stats import t as student
 from turnaround import answered, listening, running
 
 from drivers.bus import BusError
+from drivers.cia402.nmt import HEARTBEAT_COB_ID
 from vehicles.file import load
 
 EXPERIMENTS = ("doublet", "step", "multisine", "hold", "square")
-HEARTBEAT = 0x700
 WARM_UP = 1.0 / 3.0
 """Share of the runs at the beginning whose growth counts for nothing: each process meets everything once."""
 CHANCE = 1e-4
@@ -105,7 +105,7 @@ class Witness:
     """A third socket on the bus: IMU sets, setpoints and heartbeats with the kernel's time stamps."""
 
     def __init__(self, bus: str, master: int) -> None:
-        self._heartbeat = HEARTBEAT + master
+        self._heartbeat = HEARTBEAT_COB_ID + master
         self._bus = listening(bus, [TRIGGER, REPLY, self._heartbeat])
         self.stamps: dict[int, list[int]] = {TRIGGER: [], REPLY: [], self._heartbeat: []}
 

@@ -41,12 +41,10 @@ class ImuConsistency:
         self._means = [0.0, 0.0, 0.0]
         self._squares = [self._known] * 3
 
-    def update(self, contradiction: Vector3, explained: Vector3) -> float:
-        """The means with one more reading, without what is `explained` of it (both m/s^2); not a number if it is
-        none."""
+    def update(self, contradiction: Vector3) -> float:
+        """The means with one more reading (m/s^2); not a number if it is none."""
         means, squares, worst = self._means, self._squares, 0.0
-        for axis, (shown, known) in enumerate(zip(contradiction, explained, strict=True)):
-            reading = shown - known
+        for axis, reading in enumerate(contradiction):
             std = math.sqrt(max(self._known, squares[axis]))
             most = CLIPPED * std
             counted = most if reading > most else -most if reading < -most else reading

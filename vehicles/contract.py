@@ -138,16 +138,12 @@ class Pilot(Protocol[M_in]):
         ...
 
 
-FIXED: Vector3 = (0.0, 0.0, 0.0)
-"""Acceleration of an axis that does not move."""
-
-
 class Watch(Protocol[M_in]):
     """What a kind's model says about its measurements: quantities for its bounds, as in "watched.recovery"."""
 
-    @property
-    def acceleration(self) -> Vector3:
-        """Of the axis that the vehicle falls about, as its drives tell it: m/s^2, in the body's frame."""
+    def unexplained(self, contradiction: Vector3) -> Vector3:
+        """What the motion of the axis that the vehicle falls about, as its drives tell it, does not explain of the
+        contradiction of accelerometer and gyro: m/s^2, in the body's frame."""
         ...
 
     def reset(self) -> None:

@@ -1,9 +1,14 @@
-"""What every kind of vehicle can watch of the motion that it falls by."""
+"""What every kind of vehicle can watch of the motion that it falls by, and how far it is known."""
 
 from __future__ import annotations
 
 from collections import deque
 
+DEVIATIONS = 2.0
+"""Standard deviations within which a parameter may be."""
+SCALE = 0.1
+"""Share by which a drive's rate or torque may differ from its setpoint for ever: an error of a gear ratio or unit,
+which is an effect to be diagnosed. The controllers have a gain margin of several times that."""
 JUMP_MEMORY = 0.05
 """s over which jumps of the gyro are added up."""
 NOISE = 0.01

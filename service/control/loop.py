@@ -262,7 +262,7 @@ class ControlLoop:
         period = self._period
         observe(seen, self.io, now_ns, drives, period=period, missed=max(0, round(elapsed / period) - 1))
         watch.update(dt, lean, drives)
-        seen.contradiction = self._consistency.update(attitude.contradiction, watch.acceleration)
+        seen.contradiction = self._consistency.update(watch.unexplained(attitude.contradiction))
         seen.imu_age = elapsed
         seen.angle = lean.angle
         seen.rate = lean.rate

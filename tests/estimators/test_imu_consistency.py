@@ -7,7 +7,6 @@ import pytest
 
 from estimators.imu_consistency import ImuConsistency
 from vehicles.bounds import CONTRADICTION
-from vehicles.contract import FIXED
 
 RATE, STD = 250.0, 0.2
 SECOND = round(RATE)
@@ -16,7 +15,7 @@ SECOND = round(RATE)
 def largest(readings: np.ndarray) -> float:
     """The largest result while `readings` (n, 3) come in."""
     subject = ImuConsistency(RATE, STD)
-    return max(subject.update(tuple(each), FIXED) for each in readings.tolist())
+    return max(subject.update(tuple(each)) for each in readings.tolist())
 
 
 def noise(seconds: float, std: float = STD, seed: int = 1) -> np.ndarray:
@@ -27,7 +26,7 @@ def test_means_of_noise_have_their_stated_deviation() -> None:
     subject = ImuConsistency(RATE, STD)
     readings = noise(400.0)
     readings[:, 1:] = 0.0
-    found = np.array([subject.update(tuple(each), FIXED) for each in readings.tolist()])
+    found = np.array([subject.update(tuple(each)) for each in readings.tolist()])
     # Of the magnitude of a standard normal variable; readings are clipped at three deviations.
     assert np.sqrt(np.mean(found[SECOND:] ** 2)) == pytest.approx(1.0, abs=0.05)
     assert found.max() < CONTRADICTION
@@ -53,7 +52,7 @@ def test_a_motion_that_one_of_them_does_not_show_is_found(step: float, within: f
     subject = ImuConsistency(RATE, STD)
     readings = noise(4.0)
     readings[2 * SECOND :, 1] += step
-    found = np.array([subject.update(tuple(each), FIXED) for each in readings.tolist()])
+    found = np.array([subject.update(tuple(each)) for each in readings.tolist()])
     assert found[: 2 * SECOND].max() < CONTRADICTION
     assert np.argmax(found > CONTRADICTION) - 2 * SECOND <= within * RATE
 
@@ -61,13 +60,13 @@ def test_a_motion_that_one_of_them_does_not_show_is_found(step: float, within: f
 def test_not_a_number_is_no_agreement() -> None:
     subject = ImuConsistency(RATE, STD)
     for _ in range(10):
-        found = subject.update((0.0, float("nan"), 0.0), FIXED)
+        found = subject.update((0.0, float("nan"), 0.0))
     assert not found <= CONTRADICTION
 
 
 def test_reset_forgets() -> None:
     subject = ImuConsistency(RATE, STD)
     for _ in range(SECOND):
-        subject.update((1.0, 1.0, 1.0), FIXED)
+        subject.update((1.0, 1.0, 1.0))
     subject.reset()
-    assert subject.update((0.0, 0.0, 0.0), FIXED) == 0.0
+    assert subject.update((0.0, 0.0, 0.0)) == 0.0

@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 from service.virtual.run import ClosedLoop
-from vehicles.contract import FIXED, Lean
+from vehicles.contract import Lean
 from vehicles.cube.axes import WheelMeasurement
 from vehicles.cube.watch import CubeWatch
 from vehicles.file import load
@@ -50,18 +50,19 @@ def test_wheel_that_does_not_is_found_by_the_rate_that_is_missing(share: float) 
     assert turned(0.03, share) > 0.005 * CUBE.limits.wheel_rate
 
 
-def test_axle_accelerates_by_its_wheels() -> None:
-    watch = TwsbrWatch(0.05)
+def test_axle_accelerates_by_its_wheels_and_explains_the_sample_before() -> None:
+    watch, still = TwsbrWatch(0.05), (0.0, 0.0, 0.0)
     lean = Lean(math.radians(10.0), 1.0)
     watch.update(0.005, lean, NOTHING_MEASURED)
-    assert watch.acceleration == FIXED
+    assert watch.unexplained((1.0, 2.0, 3.0)) == still
     watch.update(0.005, lean, Wheels(1, 0.0, 0.0, 3.0, 5.0, 0.0))
-    assert watch.acceleration == FIXED
+    assert watch.unexplained(still) == (1.0, 2.0, 3.0)
     watch.update(0.01, lean, Wheels(1, 0.0, 0.0, 5.0, 7.0, 0.0))
-    assert math.hypot(*watch.acceleration) == pytest.approx(0.05 * 2.0 / 0.01)
-    assert watch.acceleration[2] / watch.acceleration[0] == pytest.approx(math.tan(lean.angle))
+    forward, aside, up = watch.unexplained(still)
+    assert math.hypot(forward, up) == pytest.approx(0.05 * 2.0 / 0.01)
+    assert (aside, up / forward) == (0.0, pytest.approx(math.tan(lean.angle)))
     watch.reset()
-    assert watch.acceleration == FIXED
+    assert watch.unexplained(still) == still
 
 
 def test_change_that_can_be_is_no_jump() -> None:

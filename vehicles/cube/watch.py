@@ -14,15 +14,11 @@ from collections import deque
 
 from drivers.vehicle_io import VehicleIo
 from telemetry.samples import Vector3
-from vehicles.contract import FIXED, Lean
+from vehicles.contract import Lean
 from vehicles.cube.axes import WheelMeasurement
 from vehicles.cube.file import CubeFile
-from vehicles.watch import GyroJumps
+from vehicles.watch import DEVIATIONS, SCALE, GyroJumps
 
-DEVIATIONS = 2.0
-"""Standard deviations within which a parameter may be."""
-SCALE = 0.1
-"""Share by which a torque may differ from its setpoint for ever: an effect to be diagnosed."""
 DRY = 0.05
 """Share of the largest torque that may be dry friction."""
 ANSWERS = 4
@@ -44,7 +40,6 @@ class CubeWatch:
         "_rate",
         "_torques",
         "_up",
-        "acceleration",
         "jump",
         "wheel_following",
     )
@@ -58,7 +53,6 @@ class CubeWatch:
         torque = limits.torque + parameters.gravity_stiffness.value * vehicle.support
         self._jumps = GyroJumps(torque / max(lightest, 0.5 * parameters.inertia.value), period)
         self._torques: deque[float] = deque(maxlen=ANSWERS)
-        self.acceleration: Vector3 = FIXED
         self.reset()
 
     def reset(self) -> None:
@@ -68,6 +62,10 @@ class CubeWatch:
         self._rate: float | None = None
         self._up = self._down = 0.0
         self.jump = self.wheel_following = 0.0
+
+    def unexplained(self, contradiction: Vector3) -> Vector3:
+        """All of it: the edge does not move."""
+        return contradiction
 
     def update(self, dt: float, lean: Lean, drives: WheelMeasurement) -> None:
         """One cycle, `dt` s after the last one, before its setpoints are sent."""

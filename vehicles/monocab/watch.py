@@ -25,19 +25,15 @@ from drivers.cia402.drive import Drive
 from drivers.vehicle_io import VehicleIo
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models.gravity import GRAVITY
-from vehicles.contract import FIXED, Lean
+from telemetry.samples import Vector3
+from vehicles.contract import Lean
 from vehicles.monocab.axes import GimbalMeasurement
 from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.file import MonocabFile
-from vehicles.watch import GyroJumps
+from vehicles.watch import DEVIATIONS, SCALE, GyroJumps
 
-DEVIATIONS = 2.0
-"""Standard deviations within which a parameter may be."""
 ON_THE_BUS = 2
 """Cycles from the one in which a setpoint is sent to the first in which a rate that follows it is read."""
-SCALE = 0.1
-"""Share by which a rate may differ from its setpoint for ever: an error of a gear ratio or unit, which is an effect to
-be diagnosed. The controller has a gain margin of several times that."""
 FORGIVEN = 0.01
 """Share of the largest rate that an axis may be outside the band for ever: resolution and noise of the drive."""
 REACTION = 8.0 / 16.0
@@ -164,7 +160,6 @@ class MonocabWatch:
         "_rate",
         "_reach",
         "_share",
-        "acceleration",
         "gained",
         "gimbal_following",
         "gimbals",
@@ -208,7 +203,6 @@ class MonocabWatch:
         self.momentum.reset()
         self._jumps.reset()
         self._share = inf
-        self.acceleration = FIXED
         self.gimbal_following = self.trim_following = self.jump = self.gained = self.recovery = 0.0
 
     def update(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> None:
@@ -221,6 +215,10 @@ class MonocabWatch:
         self.momentum.update(dt, change, lean.angle, drives.precession_rate, drives.trim_position)
         self.gained = self.momentum.gained
         self._watch_recovery(lean, drives.precession)
+
+    def unexplained(self, contradiction: Vector3) -> Vector3:
+        """All of it: the rail does not move."""
+        return contradiction
 
     def _watch_recovery(self, lean: Lean, precession: float) -> None:
         """The smaller of two cycles, so that a single wrong sample of the gyro is forgiven."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 from math import cos, sin
 
 from telemetry.samples import Vector3
-from vehicles.contract import FIXED, Lean
+from vehicles.contract import Lean
 from vehicles.twsbr.axes import WheelMeasurement
+
+AT_REST: Vector3 = (0.0, 0.0, 0.0)
 
 
 class TwsbrWatch:
-    """`acceleration` (m/s^2, in the body's frame) of the axle, whose speed on the floor is radius (wheel' + tilt')."""
+    """The axle's speed on the floor is radius (wheel' + tilt'). The rates of the wheels were measured at the SYNC
+    before the IMU's sample, so that what they explain is the contradiction of the sample before."""
 
-    __slots__ = ("_radius", "_speed", "acceleration")
+    __slots__ = ("_acceleration", "_contradiction", "_radius", "_speed")
 
     def __init__(self, radius: float) -> None:
         """`radius` of the wheels in m."""
@@ -22,7 +25,7 @@ class TwsbrWatch:
     def reset(self) -> None:
         """Begin again: the next speed is the first."""
         self._speed: float | None = None
-        self.acceleration: Vector3 = FIXED
+        self._acceleration = self._contradiction = AT_REST
 
     def update(self, dt: float, lean: Lean, drives: WheelMeasurement) -> None:
         """One cycle, `dt` s after the last one, before its setpoints are sent."""
@@ -31,4 +34,10 @@ class TwsbrWatch:
         speed = self._radius * (drives.mean_rate + lean.rate)
         before, self._speed = speed if self._speed is None else self._speed, speed
         along = (speed - before) / dt
-        self.acceleration = (along * cos(lean.angle), 0.0, along * sin(lean.angle))
+        self._acceleration = (along * cos(lean.angle), 0.0, along * sin(lean.angle))
+
+    def unexplained(self, contradiction: Vector3) -> Vector3:
+        """What is left of the contradiction (m/s^2) of the sample before this one."""
+        (x, y, z), self._contradiction = self._contradiction, contradiction
+        ax, ay, az = self._acceleration
+        return (x - ax, y - ay, z - az)
