@@ -10,10 +10,11 @@ Everything else is dropped and counted. Nothing here reads a clock. Output is in
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from drivers.imu_layout import ImuConfig, layout_of
+from drivers.imu_repeats import Repeats
 from telemetry.samples import CanFrame, ImuSample, Vector3
 
 LONGEST_SET = 0.75
@@ -25,9 +26,11 @@ SHORTEST_INTERVAL = 0.25
 LONGEST_INTERVAL = 1.5
 """Periods between two sets; a longer interval is a gap."""
 
-STUCK_SETS = {"float32": 5, "int16": 25}
-"""Consecutive identical sets that indicate a stuck sensor. The 24-bit gyro's noise shows in every float; in 16 bits
-(0.1 deg/s, 1 mg) a vehicle at rest may well repeat itself for a few sets."""
+FRESH_SETS = {"float32": 500, "int16": 12}
+FRESH_AXES = {"float32": 500, "int16": 0}
+"""What is known before the first reading, of whole sets and of one axis (drivers.imu_repeats). The noise of 24 bits
+shows in every float: the fifth of the same in a row is no measurement. In 16 bits (0.1 deg/s, 1 mg) a gyro at rest may
+read the same for ever, and whole sets for less than 25."""
 
 _WAITING = -1
 """In place of the next frame's index: frames are ignored until a first frame opens a set."""
@@ -50,7 +53,7 @@ class ImuStatistics:
     `sets`: published. Left out: `duplicates` (frames that are copies), `outliers` (single angular rates). Dropped:
     `incomplete` (a frame missing, out of order, or twice with another content), `late` (frames too far apart to be
     of one set), `wrong_length`, `out_of_range` (or not a finite number). `gaps` are intervals above 1.5 periods or
-    backwards in time, `stuck` the sets that repeated the one before implausibly often.
+    backwards in time, `stuck` the sets in which a sensor repeated itself implausibly often.
     """
 
     sets: int = 0
@@ -68,7 +71,8 @@ class Imu:
     """Turns the IMU's frames into samples and monitors them.
 
     `frozen` is the number of sets in a row whose time has not advanced. `fault_text` says what was wrong with the last
-    set that was dropped for its content, with the remedy.
+    set that was dropped for its content, or which sensor repeats itself, with the remedy. `accelerometer_stuck`: the
+    accelerometer repeats itself, and the gyro does not.
     """
 
     def __init__(self, config: ImuConfig) -> None:
@@ -83,16 +87,17 @@ class Imu:
         self._longest_set_ns = round(LONGEST_SET / config.rate * 1e9)
         self._shortest_interval_ns = round(SHORTEST_INTERVAL / config.rate * 1e9)
         self._longest_interval_ns = round(LONGEST_INTERVAL / config.rate * 1e9)
-        self._stuck_sets = STUCK_SETS[config.precision]
+        self._sets = Repeats(FRESH_SETS[config.precision])
+        self._axes = [Repeats(FRESH_AXES[config.precision]) for _ in range(6)]
         self._payloads = [b""] * config.frames
         self._next = _WAITING
         self._first_ns = 0
         self._ended_ns = 0
         self._start_ns = 0
         self._sample: ImuSample | None = None
-        self._repeats = 0
         self._held = False
         self._content = ImuHealth.OK
+        self.accelerometer_stuck = False
 
     def handle(self, frame: CanFrame) -> ImuSample | None:
         """Take one data frame; returns the sample if it completed a set. Frames with other ids are ignored."""
@@ -166,16 +171,34 @@ class Imu:
             self.frozen = self.frozen + 1 if interval_ns == 0 else 0
             if not 0 < interval_ns <= self._longest_interval_ns:
                 self.statistics.gaps += 1
-            if same:
-                self._repeats += 1
-                if self._repeats >= self._stuck_sets - 1:
-                    self.statistics.stuck += 1
-                    self._content = ImuHealth.STUCK
-            else:
-                self._repeats = 0
+            self._sets.update(same)
+            readings, before = (*angular_rate, *acceleration), (*last.angular_rate, *last.acceleration)
+            repeated = False
+            for axis, reading, earlier in zip(self._axes, readings, before, strict=True):
+                axis.update(reading == earlier)
+                repeated = repeated or reading == earlier
+            self.accelerometer_stuck = repeated and self._repeats()
+            if self.accelerometer_stuck:
+                sample = replace(sample, accelerometer_stuck=True)
         self.statistics.sets += 1
         self._sample = sample
         return sample
+
+    def _repeats(self) -> bool:
+        """Whether the accelerometer is stuck, and the gyro is not; that makes the whole set no measurement."""
+        stuck = [axis.stuck for axis in self._axes]
+        gyro, whole = any(stuck[:3]), self._sets.stuck
+        if not (any(stuck) or whole):
+            return False
+        what = "the IMU" if whole else f"the {'gyro' if gyro else 'accelerometer'} of the IMU"
+        self.statistics.stuck += 1
+        self.fault_text = (
+            f"{what} repeats its last value. Remedy: switch the IMU off and on, switch off a threshold or automatic zero "
+            "of its gyro, and check imu.precision against the device."
+        )
+        if gyro or whole:
+            self._content = ImuHealth.STUCK
+        return not (gyro or whole)
 
     def _plausible(self, rate: Vector3, before: Vector3) -> Vector3:
         """The angular rate, or the one before if it has changed by more than anything can make it. The next one is
@@ -221,7 +244,9 @@ class Imu:
         self._start_ns = start_ns
         self._sample = None
         self._held = False
-        self._repeats = 0
+        for repeats in (self._sets, *self._axes):
+            repeats.begin()
         self.frozen = 0
         self._content = ImuHealth.OK
+        self.accelerometer_stuck = False
         self.fault_text = ""

@@ -27,7 +27,7 @@ _KEPT = log((1.0 - HEAVY) / (1.0 - USUAL))
 class LossTest:
     """Count every cycle. `evidence` (nats) is that of heavy losses; of lost cycles in a row, `in_a_row` count."""
 
-    __slots__ = ("_in_a_row", "_row", "evidence")
+    __slots__ = ("_counted", "_in_a_row", "_row", "evidence")
 
     def __init__(self, in_a_row: int = IN_A_ROW) -> None:
         self._in_a_row = in_a_row
@@ -36,12 +36,18 @@ class LossTest:
     def reset(self) -> None:
         """Forget what was lost."""
         self.evidence = 0.0
-        self._row = 0
+        self._row = self._counted = 0
 
     def came(self, missed: int = 0) -> None:
-        """A cycle that was not lost, after `missed` ones that were."""
-        self.evidence = max(0.0, self.evidence + min(missed, self._in_a_row) * _LOST + _KEPT)
-        self._row = 0
+        """A cycle that was not lost, after `missed` ones that were; -1: at the time of the one before it, so that one
+        of those that were missed before was late and not lost."""
+        if missed < 0:
+            if self._counted:
+                self._counted -= 1
+                self.evidence = max(0.0, self.evidence - _LOST)
+            return
+        self._row, self._counted = 0, min(missed, self._in_a_row)
+        self.evidence = max(0.0, self.evidence + self._counted * _LOST + _KEPT)
 
     def lost(self) -> None:
         """A cycle that was lost."""

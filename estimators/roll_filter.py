@@ -92,7 +92,8 @@ class RollState:
 
 
 class RollFilter:
-    """Pass every IMU sample to `update`, which returns the state at that sample.
+    """Pass every IMU sample to `update`, which returns the state at that sample. While the accelerometer is stuck, the
+    gyro carries the angle.
 
     The state is a pure function of the samples since `reset`: replaying them gives the same numbers bit for bit.
     """
@@ -166,6 +167,9 @@ class RollFilter:
             0.5 * (before[1] + now[1]) - lever[1],
             0.5 * (before[2] + now[2]) - lever[2],
         )
+        if sample.accelerometer_stuck:
+            ux, uy, uz = _apply(turn, self._up)
+            reading = (GRAVITY * ux, GRAVITY * uy, GRAVITY * uz)
         variance = self._smooth(turn, reading, step)
 
         self._predict(turn, step, change)

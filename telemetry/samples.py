@@ -34,11 +34,13 @@ class ImuSample:
 
     `acceleration` is the specific force in m/s^2 (at rest +9.81 along z), `angular_rate` is in rad/s.
     `timestamp_ns` is the receive time of the set's last frame less the configured sensor latency.
+    `accelerometer_stuck`: the acceleration is no measurement.
     """
 
     timestamp_ns: int
     acceleration: Vector3
     angular_rate: Vector3
+    accelerometer_stuck: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,7 +188,7 @@ class Daemon:
             ended_ns = time.monotonic_ns()
             loop.timing.processing.add((ended_ns - began_ns) * 1e-9)
             if not self._lock_step:
-                loop.timing.turnaround.add((ended_ns + self._clock.base_ns - loop.last_ns) * 1e-9)
+                loop.sent((ended_ns + self._clock.base_ns - loop.last_ns) * 1e-9)
             self._turns.take()
 
     def _send(self, can_id: int, data: bytes, timestamp_ns: int) -> None:

@@ -173,6 +173,7 @@ class ControlLoop:
         self._quick_stop_left = 0.0
         self._last_ns = 0
         self._late_cycles = 0
+        self._answers_due = False
         self._phase = Phase.NONE
         self._asked: LoadSection | TiltSection | None = None
         self._failure_logged = False
@@ -228,6 +229,7 @@ class ControlLoop:
         self._report()
         if not late:
             self._transmit(command, now_ns)
+        self._answers_due = not late
         if drives.timestamp_ns:
             self._observer.offer(row(self.kind, attitude, drives, command, self._phase))
         if self.cycles:
@@ -237,6 +239,13 @@ class ControlLoop:
             self.missed_cycles += 1
         if self.cycles % self._watchdog_cycles == 0:
             self._notifier.watchdog()
+
+    def sent(self, turnaround: float) -> None:
+        """The setpoints of the last cycle were given to the bus `turnaround` s after its sample. Answers to a late SYNC
+        come after the next sample: the bus has not lost them."""
+        self.timing.turnaround.add(turnaround)
+        if turnaround > 0.5 * self._period:
+            self._answers_due = False
 
     def _decide(self, dt: float, lean: Lean, drives: Measurement) -> Command:
         """The command for the drives: follow the experiment, complete a quick stop, or idle."""
@@ -260,9 +269,11 @@ class ControlLoop:
     ) -> Verdict:
         seen, run, watch, now_ns = self._seen, self.run, self.kind.watch, attitude.timestamp_ns
         period = self._period
-        observe(seen, self.io, now_ns, drives, period=period, missed=max(0, round(elapsed / period) - 1))
+        seen.answers_due = self._answers_due
+        observe(seen, self.io, now_ns, drives, period=period, missed=round(elapsed / period) - 1)
         watch.update(dt, lean, drives)
-        seen.contradiction = self._consistency.update(watch.unexplained(attitude.contradiction))
+        at_rest = run is not None and run.phase is Phase.REST
+        seen.contradiction = self._consistency.update(watch.unexplained(attitude.contradiction), at_rest=at_rest)
         seen.imu_age = elapsed
         seen.angle = lean.angle
         seen.rate = lean.rate

@@ -27,7 +27,7 @@ def observe(
     seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement, *, period: float, missed: int
 ) -> None:
     """Update the observation with the drivers' state at `now_ns`; `missed` sets of the IMU, one every `period` s,
-    should have come before."""
+    should have come before; -1 if this one came at the time of the last (estimators.loss_test)."""
     seen.imu_losses.came(missed)
     for drive, entry in zip(io.drives, seen.drives, strict=True):
         answered_ns = min(drive.timestamp_ns, drive.statusword_timestamp_ns)
@@ -37,7 +37,7 @@ def observe(
             entry.slip = slip / drive.config.axis_per_turn
             entry.answered_ns = answered_ns
             entry.losses.came()
-        else:
+        elif seen.answers_due:
             entry.losses.lost()
         entry.age = (now_ns - answered_ns) * 1e-9
         entry.enabled = drive.state is State.OPERATION_ENABLED
@@ -58,6 +58,7 @@ def observe(
         entry.heartbeat_age = heartbeat_age(drive, now_ns)
     seen.imu_health = io.imu.health(now_ns)
     seen.imu_text = io.imu.fault_text
+    seen.accelerometer_stuck = io.imu.accelerometer_stuck
     seen.imu_frozen = io.imu.frozen
     seen.axes = measured
 
@@ -89,7 +90,7 @@ def interlocks(
             if not io.imu.fault_text
             else io.imu.fault_text
         )
-    elif io.imu.health(now_ns) is not ImuHealth.OK:
+    elif io.imu.health(now_ns) is not ImuHealth.OK or io.imu.accelerometer_stuck:
         found.append(io.imu.fault_text or f"The IMU is not usable: {io.imu.health(now_ns).value}.")
     elif abs(abs(lean.angle) - vehicle.support) > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
         found.append(

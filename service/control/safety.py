@@ -17,7 +17,7 @@ depend on the earlier ones.
     should_run       every drive is in Operation enabled, and has voltage
     balancing        budgets left, observer alive
     upright          not fallen
-    armed, last      what only ends a run in order: a drive that warns or sends no heartbeat any more, position
+    armed, last      what only ends a run in order: an accelerometer that repeats itself, a drive that warns or sends no heartbeat any more, position
                      and rate contradict each other, heavy losses of frames, somebody else who reads or changes the
                      set-up of the drives
 
@@ -75,8 +75,9 @@ class Observation:
     """The input of the verdict. One object, updated every cycle.
 
     `imu_age` s since the previous IMU sample, or since the last one if none came; `imu_text` is the explanation by the
-    IMU driver; `imu_frozen` sets came without any advance of their time; `imu_losses` tests how many did not come;
-    `late_cycles` consecutive cycles came too late to command the drives; `angle` (rad) and `rate` (rad/s) are those of
+    IMU driver, `accelerometer_stuck` its finding that the gyro alone still measures; `imu_frozen` sets came without any advance of their time; `imu_losses` tests how many did not come;
+    `late_cycles` consecutive cycles came too late to command the drives, and `answers_due`: SYNC was sent in time for an
+    answer before this cycle; `angle` (rad) and `rate` (rad/s) are those of
     the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the kind of
     vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
     standard deviations; `foreign_command` and `foreign_request` say what somebody else sends with our ids, "" if nobody
@@ -91,6 +92,7 @@ class Observation:
     imu_age: float = 0.0
     imu_health: ImuHealth = ImuHealth.OK
     imu_text: str = ""
+    accelerometer_stuck: bool = False
     imu_frozen: int = 0
     imu_losses: LossTest = field(default_factory=LossTest)
     angle: float = 0.0
@@ -100,6 +102,7 @@ class Observation:
     watched: Any = None
     contradiction: float = 0.0
     late_cycles: int = 0
+    answers_due: bool = True
     foreign_command: str = ""
     foreign_request: str = ""
     observer_alive: bool = True
@@ -218,6 +221,8 @@ class Safety:
             return verdict
         if seen.balancing and not seen.observer_alive:
             return end(Code.OBSERVER_GONE, "the observer process ended: nothing is recorded any more")
+        if seen.accelerometer_stuck:
+            return end(Code.IMU_STUCK, seen.imu_text)
         if concern is not None:
             return self._drive_concern(concern)
         if seen.imu_losses.evidence > SURE:

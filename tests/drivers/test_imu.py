@@ -325,12 +325,39 @@ def test_repeated_samples_are_stuck_until_they_change(config: ImuConfig, limit: 
     assert imu.health(sample.timestamp_ns) is ImuHealth.OK
 
 
-def test_frozen_gyro_alone_is_not_stuck() -> None:
+def test_a_gyro_of_24_bits_that_repeats_itself_is_stuck() -> None:
     imu = Imu(CANOPEN)
     for number in range(40):
-        sample = replace(sample_at(number), angular_rate=(0.0, 0.0, 0.0))
-        feed(imu, encode_frames(CANOPEN, sample))
-    assert imu.statistics.stuck == 0
+        x, _, z = sample_at(number).angular_rate
+        feed(imu, encode_frames(CANOPEN, replace(sample_at(number), angular_rate=(x, 0.0, z))))
+        if number == 3:
+            assert imu.statistics.stuck == 0
+    assert imu.statistics.stuck == 36
+    assert imu.health(sample_at(39).timestamp_ns) is ImuHealth.STUCK
+    assert not imu.accelerometer_stuck
+    assert "the gyro of the IMU repeats its last value" in imu.fault_text
+
+
+def test_an_accelerometer_that_repeats_itself_leaves_the_gyro_usable() -> None:
+    imu = Imu(CANOPEN)
+    seen = []
+    for number in range(12):
+        stuck = replace(sample_at(number), acceleration=sample_at(0).acceleration)
+        seen += feed(imu, encode_frames(CANOPEN, stuck if number < 8 else sample_at(number)))
+    assert [each.accelerometer_stuck for each in seen] == [False] * 4 + [True] * 4 + [False] * 4
+    assert imu.health(seen[-1].timestamp_ns) is ImuHealth.OK
+    assert not imu.accelerometer_stuck
+
+
+def test_a_sensor_of_16_bits_that_stops_after_it_moved_is_stuck() -> None:
+    imu = Imu(SEQUENTIAL)
+    turning = np.random.default_rng(7).normal(0.0, 0.02, (500, 3)).tolist()
+    for number in range(560):
+        rate = tuple(turning[min(number, 499)])
+        feed(imu, encode_frames(SEQUENTIAL, replace(sample_at(number), angular_rate=rate)))
+        if number == 499:
+            assert imu.statistics.stuck == 0
+    assert imu.statistics.stuck > 40
 
 
 def rates_seen(readings: list[float], config: ImuConfig) -> tuple[list[float], int]:

@@ -51,3 +51,21 @@ def test_missed_cycles_count_as_lost_ones() -> None:
     assert one.evidence == other.evidence > 0.0
     one.reset()
     assert one.evidence == 0.0
+
+
+def test_cycles_that_come_bunched_were_late_and_not_lost() -> None:
+    test = LossTest()
+    for _ in range(200):
+        test.came(missed=2)
+        test.came(missed=-1)
+        test.came(missed=-1)
+    assert test.evidence < SURE / 10
+
+
+def test_early_cycles_do_not_make_up_for_losses_before() -> None:
+    test, other = LossTest(), LossTest()
+    for each in (test, other):
+        each.came(missed=3)
+        each.came()
+    test.came(missed=-1)
+    assert test.evidence == other.evidence > 0.0

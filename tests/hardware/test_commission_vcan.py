@@ -52,7 +52,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 def number(entry: Entry, name: str) -> float:
     value = entry.numbers[name].value
-    assert value is not None, (entry.step, name)
+    assert value is not None, (entry.step, name, entry.text)
     return value
 
 
@@ -82,7 +82,7 @@ def carried_out(rig: Rig, last: str) -> dict[str, Entry]:
 def test_the_whole_way_ends_with_a_controller_that_holds_a_person(rig: Rig) -> None:
     entries = carried_out(rig, "response")
     last = list(entries.values())[-1]
-    assert last.step == "response", last
+    assert last.step == "response", (last.step, last.reason)
     report = (rig.data / "commissioning" / "report.html").read_text()
     assert "The commissioning is complete" in report
     assert "signature" in report
