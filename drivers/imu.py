@@ -193,8 +193,8 @@ class Imu:
         what = "the IMU" if whole else f"the {'gyro' if gyro else 'accelerometer'} of the IMU"
         self.statistics.stuck += 1
         self.fault_text = (
-            f"{what} repeats its last value. Remedy: switch the IMU off and on, switch off a threshold or automatic zero "
-            "of its gyro, and check imu.precision against the device."
+            f"{what} repeats its last value. Remedy: switch the IMU off and on, switch off a threshold or automatic "
+            "zero of its gyro, and check imu.precision against the device."
         )
         if gyro or whole:
             self._content = ImuHealth.STUCK

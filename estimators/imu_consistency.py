@@ -3,9 +3,10 @@
 Gravity and the acceleration of the lever arm follow from the gyro (estimators.roll_filter.RollState.contradiction), the
 acceleration of the axis from the drives. What the accelerometer shows beyond these is vibration as long as all are
 right: noise without a mean. A gyro that is frozen, dead, turned or scaled leaves a mean, in the direction of the motion
-that it does not show: a large one in a fall, and a small one for longer while the vehicle rises. So means are taken over
-each of AVERAGED, in standard deviations, from the noise that the vehicle file states or, if it is more, that was measured
-over REMEMBERED. Single readings count up to CLIPPED deviations, so that a shock is no contradiction. What an error of the accelerometer's scale leaves on the support is known before a run.
+that it does not show: a large one in a fall, and a small one for longer while the vehicle rises. So means are taken
+over each of AVERAGED, in standard deviations, from the noise that the vehicle file states or, if it is more, that was
+measured over REMEMBERED. Single readings count up to CLIPPED deviations, so that a shock is no contradiction. What an
+error of the accelerometer's scale leaves on the support is known before a run.
 """
 
 from __future__ import annotations

@@ -17,9 +17,9 @@ depend on the earlier ones.
     should_run       every drive is in Operation enabled, and has voltage
     balancing        budgets left, observer alive
     upright          not fallen
-    armed, last      what only ends a run in order: an accelerometer that repeats itself, a drive that warns or sends no heartbeat any more, position
-                     and rate contradict each other, heavy losses of frames, somebody else who reads or changes the
-                     set-up of the drives
+    armed, last      what only ends a run in order: an accelerometer that repeats itself, a drive that warns or sends no
+                     heartbeat any more, position and rate contradict each other, heavy losses of frames, somebody else
+                     who reads or changes the set-up of the drives
 
 An emergency of a drive that goes on is a warning, unless it says that the drive misses its master: a fault shows in the
 statusword within a cycle, and then stops the run.
@@ -75,11 +75,11 @@ class Observation:
     """The input of the verdict. One object, updated every cycle.
 
     `imu_age` s since the previous IMU sample, or since the last one if none came; `imu_text` is the explanation by the
-    IMU driver, `accelerometer_stuck` its finding that the gyro alone still measures; `imu_frozen` sets came without any advance of their time; `imu_losses` tests how many did not come;
-    `late_cycles` consecutive cycles came too late to command the drives, and `answers_due`: SYNC was sent in time for an
-    answer before this cycle; `angle` (rad) and `rate` (rad/s) are those of
-    the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the kind of
-    vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
+    IMU driver, `accelerometer_stuck` its finding that only the gyro measures; `imu_frozen` sets came without advance
+    of their time; `imu_losses` tests how many did not come; `late_cycles` consecutive cycles came too late to command
+    the drives; `answers_due`: SYNC was sent in time for an answer before this cycle; `angle` (rad) and `rate` (rad/s)
+    are those of the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the
+    kind of vehicle, and `watched` what its model says about them; `contradiction` is that of accelerometer and gyro, in
     standard deviations; `foreign_command` and `foreign_request` say what somebody else sends with our ids, "" if nobody
     does. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
     """

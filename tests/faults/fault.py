@@ -57,6 +57,7 @@ class Wanted(StrEnum):
     GIMBAL_FOLLOWING = "gimbal_following"
     TRIM_FOLLOWING = "trim_following"
     WHEEL_FOLLOWING = "wheel_following"
+    HEADING = "heading"
     TORQUE_BALANCE = "torque_balance"
     AXIS_CONTRADICTION = "axis_contradiction"
     IMU_CONTRADICTION = "imu_contradiction"
@@ -199,6 +200,6 @@ def harmless(
 
 SILENT_IMU = (Code.IMU_SILENT, Code.IMU_STUCK, Code.IMU_FORMAT, Code.IMU_OUT_OF_RANGE)
 """Any of what can be said of an IMU that sends nothing usable."""
-NOT_FOLLOWED = (Wanted.GIMBAL_FOLLOWING, Wanted.TRIM_FOLLOWING, Wanted.WHEEL_FOLLOWING)
+NOT_FOLLOWED = (Wanted.GIMBAL_FOLLOWING, Wanted.TRIM_FOLLOWING, Wanted.WHEEL_FOLLOWING, Wanted.HEADING)
 LYING_IMU = (Wanted.IMU_CONTRADICTION, Wanted.GYRO_JUMP)
 STRANGER = (Wanted.FOREIGN_MASTER, Wanted.FOREIGN_SDO)

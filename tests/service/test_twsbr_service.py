@@ -194,6 +194,7 @@ def balancing(**axes: float) -> Observation:
         (balancing(left_rate=math.nan), Code.NOT_FINITE, Reaction.STOP_NOW),
         (balancing(travel=-2.1), TwsbrCode.TRAVEL_BUDGET, Reaction.END_EXPERIMENT),
         (balancing(travel=2.6), TwsbrCode.TRAVEL, Reaction.STOP_NOW),
+        (balancing(heading=-0.36), TwsbrCode.HEADING, Reaction.END_EXPERIMENT),
         (replace(balancing(), angle=math.radians(8.1)), TwsbrCode.FALLEN, Reaction.STOP_NOW),
         (replace(balancing(), angle=math.radians(12.1), upright=False), Code.OK, Reaction.CONTINUE),
         (replace(balancing(), angle=math.radians(16.1), armed=False), TwsbrCode.TILT, Reaction.STOP_NOW),

@@ -17,7 +17,8 @@ NAN = float("nan")
 class WheelMeasurement:
     """What the drives reported last, rad and rad/s; `timestamp_ns` is that of the oldest value, 0 before they answered.
 
-    `travel` is how far the wheels have rolled on the floor since the robot got up, m.
+    `travel` is how far the wheels have rolled on the floor since the robot got up, m, and `heading` by how much they
+    have turned it since then, rad, positive to the left.
     """
 
     timestamp_ns: int
@@ -26,6 +27,7 @@ class WheelMeasurement:
     left_rate: float
     right_rate: float
     travel: float
+    heading: float = 0.0
 
     @property
     def mean_angle(self) -> float:
@@ -36,17 +38,18 @@ class WheelMeasurement:
         return 0.5 * (self.left_rate + self.right_rate)
 
 
-NOTHING_MEASURED = WheelMeasurement(0, NAN, NAN, NAN, NAN, NAN)
+NOTHING_MEASURED = WheelMeasurement(0, NAN, NAN, NAN, NAN, NAN, NAN)
 
 
 class Wheels:
-    """The left and the right wheel, whose motors get the same voltage. `radius` in m."""
+    """The left and the right wheel, whose motors get the same voltage. `radius` and `distance` in m."""
 
-    def __init__(self, io: VehicleIo, radius: float) -> None:
+    def __init__(self, io: VehicleIo, radius: float, distance: float) -> None:
         self._io = io
         self._left, self._right = io.role("wheel")
         self._radius = radius
-        self._origin = 0.0
+        self._turn = radius / distance
+        self._origin = self._apart = 0.0
 
     def measure(self) -> WheelMeasurement:
         """The drives' latest values; `NOTHING_MEASURED` until each of them has sent all of its own."""
@@ -55,11 +58,15 @@ class Wheels:
             return NOTHING_MEASURED
         left, right = self._left, self._right
         travel = self._radius * (0.5 * (left.position + right.position) - self._origin)
-        return WheelMeasurement(timestamp_ns, left.position, right.position, left.velocity, right.velocity, travel)
+        heading = self._turn * (right.position - left.position - self._apart)
+        return WheelMeasurement(
+            timestamp_ns, left.position, right.position, left.velocity, right.velocity, travel, heading
+        )
 
     def start_here(self) -> None:
-        """Count the travel from where the wheels are now."""
+        """Count travel and heading from where the wheels are now."""
         self._origin = 0.5 * (self._left.position + self._right.position)
+        self._apart = self._right.position - self._left.position
 
     @property
     def left_voltage(self) -> float:

@@ -36,6 +36,8 @@ class TwsbrLimits(LimitsSection):
     """m from where it got up: the edge of the test stand."""
     travel_budget: Annotated[float, up_to(100.0, "nobody sees the end of such a test stand")]
     """m from where it got up, at which an experiment ends in an orderly way."""
+    heading_deg: Annotated[float, up_to(180.0, "a robot that turns round drives where nobody expects it")] = 20.0
+    """deg from where it got up, at which an experiment ends in an orderly way: both motors get the same voltage."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -29,6 +29,7 @@ class TwsbrCode(StrEnum):
     FALLEN = "fallen"
     TRAVEL = "travel"
     TRAVEL_BUDGET = "travel_budget"
+    HEADING = "heading"
 
 
 VOLTS, METRES, RADIANS_PER_SECOND = Unit("V"), Unit("m", digits=3), Unit("rad/s", digits=1)
@@ -56,6 +57,15 @@ def bounds(vehicle: TwsbrFile) -> tuple[Bound, ...]:
             METRES,
             When.BALANCING,
             advice="only the tilt is held: balance the body, or make the excitation smaller or shorter",
+        ),
+        Bound(
+            TwsbrCode.HEADING,
+            "the robot turns, though both motors get the same voltage",
+            "axes.heading",
+            radians(limits.heading_deg),
+            DEGREES,
+            When.BALANCING,
+            advice="check the motors, their cables and gears, and that both wheels grip",
         ),
     )
 
@@ -98,7 +108,7 @@ class Twsbr:
         self.watch = TwsbrWatch(vehicle.parameters.wheel_radius.value)
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
-        self._wheels = Wheels(io, vehicle.parameters.wheel_radius.value)
+        self._wheels = Wheels(io, vehicle.parameters.wheel_radius.value, vehicle.parameters.wheel_distance.value)
         self.measure = self._wheels.measure
 
     def lean(self, attitude: RollState) -> Lean:

@@ -56,6 +56,7 @@ LIMITS = {
     "voltage": ("voltage", "V"),
     "travel": ("travel", "m"),
     "travel_budget": ("travel budget", "m"),
+    "heading_deg": ("heading", "deg"),
 }
 
 VIEWS = Views(CHARTS, STORY, "V", LIMITS)
