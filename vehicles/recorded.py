@@ -36,22 +36,30 @@ def designed_for(recording: Recording) -> dict[str, float]:
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """A recording as lists, for loops. The controller held the vehicle from sample `held` on, excited from `first` to
-    `last`; `period` s from sample to sample. `stamped` are the times that the controller had."""
+    `last`; `period` s from sample to sample, and the control loop takes no cycle for longer than `longest` s. `stamped`
+    are the times that the controller had."""
 
     values: Mapping[str, list[float]]
     time: list[float]
     stamped: list[float]
     period: float
+    longest: float
     held: int
     first: int
     last: int
 
     def elapsed(self, row: int) -> float:
         """s since the sample before, limited as in the control loop: a gap does not upset its controller."""
-        return min(max(self.stamped[row] - self.stamped[row - 1], 0.5 * self.period), 4.0 * self.period)
+        return min(max(self.stamped[row] - self.stamped[row - 1], 0.5 * self.period), self.longest)
+
+    def row(self, time: float) -> int:
+        """The sample at `time` s."""
+        return int(np.searchsorted(self.time, time - 0.25 * self.period))
 
 
-def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, period: float) -> Recorded | str:
+def recorded(
+    recording: Recording, channels: Sequence[str], *, since: Phase, period: float, longest: float
+) -> Recorded | str:
     """`recording` with `channels` and DRIVEN, and the samples between which its controller held the vehicle up, from
     the phase `since` on; or why they are not known, in words."""
     needed = (*channels, *DRIVEN)
@@ -74,6 +82,7 @@ def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, per
         time=recording.time.tolist(),
         stamped=recording.stamped.tolist(),
         period=period,
+        longest=longest,
         held=int(held[0]),
         first=int(excited[0]),
         last=int(excited[-1]),

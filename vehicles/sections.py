@@ -518,6 +518,11 @@ class VehicleFile(Section):
         return 1.0 / self.control.rate
 
     @property
+    def longest_silence(self) -> float:
+        """s without IMU or drive that a run survives: `limits.missed_cycles` whole cycles, and half a one of jitter."""
+        return (self.limits.missed_cycles + 0.5) * self.period
+
+    @property
     def setpoint_timeout(self) -> float:
         """s without a setpoint after which a drive stops by itself (1400h:5 and up). The service itself stops after
         `limits.missed_cycles` late cycles; a drive that goes on with its last setpoint for longer throws the vehicle

@@ -1,8 +1,8 @@
 """A model in the loop with the controller of a recording: simulated against recorded motion.
 
-The excitation of the record drives the loop from the recorded state on; no measurement corrects it after that. So an
-unstable plant is simulated for the length of the record, and all errors add up that a predictor corrects sample by
-sample.
+The excitation of the record drives the loop from the recorded state on, over the longest part of the record without a
+gap; no measurement corrects it after that. So an unstable plant is simulated for the length of this part, and all
+errors add up that a predictor corrects sample by sample.
 
     error over floor = rms(recorded - simulated) / rms(simulated with noise - simulated)
 
@@ -52,14 +52,15 @@ SHORTEST = 5.0
 class Loop:
     """The controller that closed the loop on one recording, from `begins` to `ends` (s from its first sample).
 
-    `controller()` is the controller as it was at `begins`, with its time in s as in the recording; it needs the outputs
-    `needs` and gives the inputs `gives`, or those of them that a model has. `channels` are compared. Beyond the
-    `limits` of these channels the vehicle is no longer controlled: a simulation that exceeds them is invalid.
+    `controller(time)` is the controller as it was at `time`, s, of the recording, that of a sample between the two; it
+    needs the outputs `needs` and gives the inputs `gives`, or those of them that a model has. `channels` are compared.
+    Beyond the `limits` of these channels the vehicle is no longer controlled: a simulation that exceeds them is not
+    valid.
     """
 
     begins: float
     ends: float
-    controller: Callable[[], Controller] = field(repr=False)
+    controller: Callable[[float], Controller] = field(repr=False)
     needs: frozenset[str]
     gives: frozenset[str]
     channels: tuple[str, ...]
@@ -67,7 +68,10 @@ class Loop:
 
     def of_part(self, begin: float) -> Loop:
         """The same on a part of the recording whose first sample is at `begin` s."""
-        return replace(self, begins=self.begins - begin, ends=self.ends - begin)
+        whole = self.controller
+        return replace(
+            self, begins=self.begins - begin, ends=self.ends - begin, controller=lambda time: whole(time + begin)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,18 +231,21 @@ def _check(loop: Loop, simulated: Mapping[str, Array], time: Array, first: int) 
 
 
 def _rows(found: Innovations, numbers: Sequence[int], loop: Loop) -> tuple[int, int, int]:
-    """The segment in which the loop begins, and its first and last sample that are in the loop."""
+    """The segment with most of the loop, and its first and last sample that are in it: a record has gaps."""
     shortest = SHORTEST * time_scale(found.problem.model, found.problem.segments)
+    longest, most = 0.0, (0, 0, 0)
     for number in numbers:
         time = found.problem.segments[number].time
         first, last = (
             int(np.searchsorted(time, each - 0.25 * found.floor.spacing)) for each in (loop.begins, loop.ends)
         )
         last = min(last, len(time) - 1)
-        if time[0] <= loop.begins <= time[-1] and time[last] - time[first] >= shortest:
-            return number, first, last
-    what = "the record has gaps or the vehicle was on its supports after the excitation began"
-    raise _NotPossible(f"{what}: less than {shortest:.3g} s are left")
+        if first < last and time[last] - time[first] > longest:
+            longest, most = float(time[last] - time[first]), (number, first, last)
+    if longest < shortest:
+        what = "the record has gaps or the vehicle was on its supports after the excitation began"
+        raise _NotPossible(f"{what}: less than {shortest:.3g} s are left")
+    return most
 
 
 def _part(segment: Segment, last: int) -> Segment:
@@ -295,9 +302,9 @@ def _run(
         kick = np.linalg.cholesky(_shown_covariance(found))
         noise = random.standard_normal((len(rows) - first, len(kick))) @ kick.T
         shocks = noise, noise @ found.floor.gain.T
-    task = found.problem
+    task, controller = found.problem, loop.controller(float(segment.time[first]))
     with np.errstate(all="ignore"):
-        for _ in steps(task, _values(found), rows, memory, loop.controller(), first=first, shocks=shocks):
+        for _ in steps(task, _values(found), rows, memory, controller, first=first, shocks=shocks):
             if not np.all(np.isfinite(memory.x)):
                 rows.measured[:] = np.nan
                 break

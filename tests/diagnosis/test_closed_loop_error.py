@@ -37,6 +37,30 @@ DAMPED = TRUTH.add("viscous_friction").change({"viscous_friction.coefficient": 4
 """With the virtual vehicle's hidden effect at its usual amplitude."""
 
 
+class WithGaps(virtual_run.ClosedLoop):
+    """Six sets of the IMU in a row are missing every 4 s, as where a computer pauses."""
+
+    def _from_vehicle(self, can_id: int, data: bytes, timestamp_ns: int, *, of_imu: bool) -> None:
+        if not (of_imu and round(timestamp_ns * 250e-9) % 1000 < 6):
+            super()._from_vehicle(can_id, data, timestamp_ns, of_imu=of_imu)
+
+
+def test_a_record_with_gaps_is_simulated_over_its_longest_part() -> None:
+    section = VEHICLE.experiments["multisine"].model_copy(update={"duration": 10.0})
+    loop = WithGaps(VEHICLE.model_copy(update={"experiments": {"multisine": section}}))
+    loop.run("multisine")
+    found = with_regular_times(loop.recording("gaps"))
+    assert np.count_nonzero(np.diff(found.time) > 0.02) > 4
+    known = recorded_loop(VEHICLE, found)
+    assert isinstance(known, Loop)
+    (comparison,) = compare({"right": TRUTH}, [found], support=VEHICLE.support, loops=[known])
+    simulated = comparison.closed_loop
+    assert not simulated.reason
+    assert 3.5 < np.ptp(simulated.time) < 4.0
+    assert simulated.over_floor("roll") < 2.0
+    assert simulated.over_floor("precession_rate") < 2.0
+
+
 @cache
 def multisine(*hide: str) -> Recording:
     return golden.recorded("monocab", "multisine", hide=hide, seed=1, duration=10.0)

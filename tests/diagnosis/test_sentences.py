@@ -112,7 +112,7 @@ def test_relevant_effect_of_two_parts_comes_first_and_all_untried_are_listed() -
 
 
 def test_loop_is_shifted_to_a_part_of_its_recording() -> None:
-    whole = Loop(7.0, 40.0, lambda: lambda time, seen: {}, frozenset(), frozenset(), ())
+    whole = Loop(7.0, 40.0, lambda begins: lambda time, seen: {}, frozenset(), frozenset(), ())
     assert (whole.of_part(3.0).begins, whole.of_part(3.0).ends) == (4.0, 37.0)
 
 

@@ -31,7 +31,9 @@ COMPARED = ("tilt", "wheel_rate")
 
 def recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
     """The loop of `recording` from the first sample of its excitation on, or why it is not known, in words."""
-    record = recorded(recording, (*MEASURED, "torque"), since=Phase.RISE, period=vehicle.period)
+    record = recorded(
+        recording, (*MEASURED, "torque"), since=Phase.RISE, period=vehicle.period, longest=vehicle.longest_silence
+    )
     if isinstance(record, str):
         return record
     try:
@@ -69,13 +71,14 @@ def _replayed(vehicle: CubeFile, gains: LqiGains, record: Recorded, until: int) 
     return controller, given[1:]
 
 
-def _loop(vehicle: CubeFile, gains: LqiGains, record: Recorded) -> Controller:
-    """The controller in its state at the first excited sample."""
-    controller, _ = _replayed(vehicle, gains, record, record.first)
+def _loop(vehicle: CubeFile, gains: LqiGains, record: Recorded, begins: float) -> Controller:
+    """The controller in its state at the sample at `begins` s."""
+    first = record.row(begins)
+    controller, _ = _replayed(vehicle, gains, record, first)
     # The wheel at the sampling instants: as recorded, until the model gives it.
     time, age = np.array(record.time), np.array(record.values["drive_age"])
-    wheel = np.interp(time[: record.first + 1], time - age, record.values["wheel_rate"]).tolist()
-    row = record.first - 1
+    wheel = np.interp(time[: first + 1], time - age, record.values["wheel_rate"]).tolist()
+    row = first - 1
     sent = drive_config(vehicle, vehicle.drive[0])
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:

@@ -104,7 +104,7 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     time = recording.time
     period = float(np.median(np.diff(time))) if len(time) > 1 else vehicle.period
     channels = (*MEASURED, GIMBALS.setpoint, TRIM.setpoint)
-    record = recorded(recording, channels, since=Phase.SETTLE, period=period)
+    record = recorded(recording, channels, since=Phase.SETTLE, period=period, longest=vehicle.longest_silence)
     if isinstance(record, str):
         return record
     held = (recording["phase"] >= Phase.SETTLE) & (recording["phase"] <= Phase.FADE)
@@ -200,9 +200,9 @@ class _Motion:
         self._rates, self._positions = drive.rate[: first + 1], drive.position[: first + 1]
 
     @classmethod
-    def before(cls, drive: _Drive, record: Recorded) -> Self:
-        """As it was before the first excited sample."""
-        sent, rolled, first = record.values[drive.axis.setpoint], record.values["roll_rate"], record.first
+    def before(cls, drive: _Drive, record: Recorded, first: int) -> Self:
+        """As it was before sample `first`."""
+        sent, rolled = record.values[drive.axis.setpoint], record.values["roll_rate"]
         begin = max(0, first - round(RUN_IN / record.period))
         motion = cls(drive, drive.loop(setpoint=sent[begin]), first, sent[begin])
         for row in range(begin, first):
@@ -233,12 +233,13 @@ class _Motion:
         return self._loop.step(self._under_way.popleft(), roll_rate)
 
 
-def _loop(balancing: _Balancing, record: Recorded, at: str, drives: list[_Drive]) -> Controller:
-    """The controller and the drives in their state at the first excited sample."""
-    handling, _ = _replayed(balancing, record, at, record.first)
-    motions = [_Motion.before(drive, record) for drive in drives]
+def _loop(balancing: _Balancing, record: Recorded, at: str, drives: list[_Drive], begins: float) -> Controller:
+    """The controller and the drives in their state at the sample at `begins` s."""
+    first = record.row(begins)
+    handling, _ = _replayed(balancing, record, at, first)
+    motions = [_Motion.before(drive, record, first) for drive in drives]
     still = [record.values[name] for name in (TRIM.rate, TRIM.position)]
-    row = record.first - 1
+    row = first - 1
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal row

@@ -36,7 +36,9 @@ COMPARED = ("tilt", "left_wheel_angle", "right_wheel_angle")
 
 def recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
     """The loop of `recording` from the first sample of its excitation on, or why it is not known, in words."""
-    record = recorded(recording, (*TILT, *WHEELS, *VOLTAGES), since=Phase.RISE, period=vehicle.period)
+    record = recorded(
+        recording, (*TILT, *WHEELS, *VOLTAGES), since=Phase.RISE, period=vehicle.period, longest=vehicle.longest_silence
+    )
     if isinstance(record, str):
         return record
     points = (CONTROLLER_OUTPUT, "tilt_reference")
@@ -95,13 +97,14 @@ def _step(
     )
 
 
-def _loop(vehicle: TwsbrFile, record: Recorded, at: str) -> Controller:
-    """The controller in its state at the first excited sample."""
-    controller, _ = _replayed(vehicle, record, at, record.first)
+def _loop(vehicle: TwsbrFile, record: Recorded, at: str, begins: float) -> Controller:
+    """The controller in its state at the sample at `begins` s."""
+    first = record.row(begins)
+    controller, _ = _replayed(vehicle, record, at, first)
     # The wheels at the sampling instants: as recorded, until the model gives them.
     time, age = np.array(record.time), np.array(record.values["drive_age"])
-    wheels = {name: np.interp(time[: record.first + 1], time - age, record.values[name]).tolist() for name in WHEELS}
-    row = record.first - 1
+    wheels = {name: np.interp(time[: first + 1], time - age, record.values[name]).tolist() for name in WHEELS}
+    row = first - 1
     sent = drive_config(vehicle, vehicle.drive[0])
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
