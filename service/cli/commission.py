@@ -13,6 +13,7 @@ import typer
 from service.cli.arguments import VehicleOption
 from service.cli.live import HideOption
 from service.output import check_folder, page, people
+from service.whole_file import write_whole
 
 if TYPE_CHECKING:
     from service.commission.guide import Guide
@@ -146,7 +147,7 @@ def _commission(
     report: Path | None,
 ) -> int:
     if report is not None:
-        report.write_text(guide.report(), "utf-8")
+        write_whole(report, guide.report())
         events.result(0, f"Report: {report}")
         return 0
     if skip is not None:

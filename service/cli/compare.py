@@ -10,6 +10,7 @@ import typer
 
 from service.cli.arguments import VehicleOption
 from service.output import check_folder, page, people, print_json
+from service.whole_file import write_whole
 
 if TYPE_CHECKING:
     from models.model import Model
@@ -86,7 +87,7 @@ def compare(
 
             origin = provenance(name_of(subject, file), recordings)
             named = [(str(path), found) for path, found in answers]
-            report.write_text(write_comparison(named, provenance=origin, progress=step), encoding="utf-8")
+            write_whole(report, write_comparison(named, provenance=origin, progress=step))
     if json:
         print_json(
             {"models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found]}

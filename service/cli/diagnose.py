@@ -11,6 +11,7 @@ import typer
 
 from service.cli.arguments import VehicleOption
 from service.output import page, print_json
+from service.whole_file import write_whole
 
 if TYPE_CHECKING:
     from models.effect import Effect
@@ -125,7 +126,7 @@ def diagnose(
                 seconds=seconds,
                 progress=lambda text: progress(text, 1.0),
             )
-            path.write_text(text, encoding="utf-8")
+            write_whole(path, text)
     if auto is not None and found.revised is not None:
         from service.offline.trail import write_trail
 

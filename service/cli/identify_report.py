@@ -11,6 +11,7 @@ from diagnosis.report import write_identification
 from models.model import Model
 from service.offline.machine import name_of, support_of
 from service.offline.provenance import provenance
+from service.whole_file import write_whole
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles.file import VehicleFile
@@ -39,7 +40,7 @@ def save_report(
         provenance=provenance(name_of(model, vehicle), list(paths)),
         progress=step,
     )
-    target.write_text(text, encoding="utf-8")
+    write_whole(target, text)
 
 
 def _compared(

@@ -10,6 +10,7 @@ import typer
 
 from service.cli.arguments import VehicleArgument, VehicleOption
 from service.output import page, people
+from service.whole_file import write_whole
 
 if TYPE_CHECKING:
     from simulation.disturbance import Disturbance
@@ -143,7 +144,7 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
             progress=progress,
         )
     print_methods(document, {})
-    estimates_beside(path).write_text(json.dumps(document))
+    write_whole(estimates_beside(path), json.dumps(document))
 
 
 def simulate(

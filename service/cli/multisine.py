@@ -9,6 +9,7 @@ import typer
 
 from service.cli.arguments import VehicleOption
 from service.output import check_folder, page, print_json
+from service.whole_file import write_whole
 
 if TYPE_CHECKING:
     from service.offline.multisine import DesignedMultisine
@@ -82,7 +83,7 @@ def multisine(
             progress=progress,
         )
     if write is not None:
-        write.write_text(found.toml, encoding="utf-8")
+        write_whole(write, found.toml)
     if json:
         print_json(found.to_json())
     else:

@@ -26,6 +26,7 @@ from service.commission.evaluations.table import evaluation
 from service.commission.evidence import Evidence, Found, Request
 from service.commission.report import write_commissioning
 from service.control import api
+from service.whole_file import write_whole
 from telemetry.errors import UprightError
 from vehicles.commissioning import CommissioningError, Entry, State, Step, Steps, is_within, latest, steps_of
 from vehicles.sections import VehicleFile
@@ -79,7 +80,7 @@ class Guide:
     def save_report(self) -> Path:
         """Write the report where the files of this commissioning are."""
         path = self._folder() / REPORT
-        path.write_text(self.report(), "utf-8")
+        write_whole(path, self.report())
         return path
 
     def begin(self) -> None:

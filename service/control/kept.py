@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from service.whole_file import write_whole
 from telemetry.documents import from_json
 
 
@@ -18,7 +18,5 @@ def read(path: Path) -> list[Any]:
 
 def replace(path: Path, documents: Sequence[Any]) -> None:
     """Replace the file at once, so that there is never half of it. Raises OSError."""
-    beside = path.with_suffix(".part")
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside.write_text(json.dumps(list(documents), indent=1) + "\n", "utf-8")
-    os.replace(beside, path)
+    write_whole(path, json.dumps(list(documents), indent=1) + "\n")

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from service.whole_file import write_whole
 from telemetry.arrow_file import ArrowStreamWriter
 from telemetry.candump import format_frames
 from telemetry.channels import ChannelTable
@@ -125,4 +126,4 @@ class Recorder:
                 self._raw_log.close()
             self._stream.close(metadata)
         document = {"recording": self.path.name, "methods": estimates, "diagnosis": diagnosis}
-        Path(f"{self.stem}.estimates.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+        write_whole(Path(f"{self.stem}.estimates.json"), json.dumps(document, indent=2) + "\n")

@@ -13,6 +13,7 @@ from diagnosis.diagnose import Diagnosis
 from models.file.document import ModelFile
 from models.file.model_file import write
 from models.model import Model
+from service.whole_file import write_whole
 from vehicles.load import without_load
 
 
@@ -50,4 +51,4 @@ def write_trail(
     files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
     write(ModelFile(model=model, history=history, effect_files=files), target)
     document = {"date": date, "model": nominal.name, "recordings": dict(hashes), **found.to_json()}
-    target.with_suffix(".trail.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    write_whole(target.with_suffix(".trail.json"), json.dumps(document, indent=2) + "\n")

@@ -12,6 +12,7 @@ import numpy as np
 from estimators.identify.table import METHODS, Domain
 from service.commission.evidence import Evidence, Found
 from service.offline.replay import load
+from service.whole_file import write_whole
 from telemetry.candump import CandumpReader
 from vehicles import registry
 from vehicles.commissioning import Number
@@ -73,7 +74,7 @@ def drives(evidence: Evidence) -> Found:
     angle = recording[registry.nominal_model(evidence.vehicle.vehicle.kind).joints[0].coordinate][moving]
     numbers["moved"] = Number(value=degrees(float(np.ptp(angle))) if len(angle) else None, unit="deg")
     result = evidence.at(".json")
-    result.write_text(json.dumps(document, indent=1), "utf-8")
+    write_whole(result, json.dumps(document, indent=1))
     return Found(numbers, files=[result], result=result)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from estimators.identify.table import Domain
 from service.commission.evidence import Evidence, Found
+from service.whole_file import write_whole
 from vehicles.commissioning import CommissioningError, Number
 
 
@@ -52,7 +53,7 @@ def designed(evidence: Evidence) -> Found:
     the result that knows them best."""
     merged = evidence.at("_result.json")
     documents = [json.loads(path.read_text("utf-8")) for path in evidence.results.values()]
-    merged.write_text(json.dumps(with_best_drives(documents), indent=1), "utf-8")
+    write_whole(merged, json.dumps(with_best_drives(documents), indent=1))
     document = evidence.upright(["design", str(merged), *_model(evidence), "--use"])
     result = _kept(evidence, document)
     numbers: dict[str, Number] = {}
@@ -193,5 +194,5 @@ def _best(evidence: Evidence) -> str | None:
 
 def _kept(evidence: Evidence, document: Mapping[str, Any]) -> Path:
     path = evidence.at(".json")
-    path.write_text(json.dumps(document, indent=1), "utf-8")
+    write_whole(path, json.dumps(document, indent=1))
     return path
