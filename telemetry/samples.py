@@ -13,7 +13,7 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """One classical CAN frame as it was on the bus.
+    """One classical CAN frame as it was on the bus; in the log of another tool also one of CAN FD, with up to 64 bytes.
 
     `bus` is the index of the bus it came from (0 if there is only one). `can_id` carries no flag bits; they are
     in `extended`, `remote` and `error`. In an error frame `can_id` is the Linux error class (linux/can/error.h).

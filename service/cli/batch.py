@@ -16,7 +16,7 @@ from service.output import check_folder, live_estimates, page, print_json
 if TYPE_CHECKING:
     pass
 
-Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
+Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a CAN log.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
@@ -170,16 +170,23 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="A recording or a raw CAN .log.")],
+    source: Annotated[Path, typer.Argument(help="A recording or a CAN log.")],
     target: Annotated[
         Path, typer.Argument(help="A file; its suffix gives the format: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")
     ],
     vehicle: VehicleOption = "monocab",
+    dbc: Annotated[
+        Path | None,
+        typer.Option("--dbc", help="A DBC file: take the signals that it names from a CAN log.", show_default=False),
+    ] = None,
 ) -> None:
-    """Write a recording in another format. All measured channels of a raw CAN log are reconstructed."""
+    """Write a recording in another format. All measured channels of a CAN log are reconstructed.
+
+    A CAN log is one of upright, of `candump`, or an ASC, BLF, TRC or MF4 of another tool.
+    """
     from service.offline.replay import convert as run
 
     with working() as step:
         step(f"writing {target.name}")
-        run(load_recording(source, vehicle, as_stamped=True), target)
+        run(load_recording(source, vehicle, as_stamped=True, database=dbc), target)
     page.print(f"{target}: {target.stat().st_size} bytes")

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from telemetry.recording import Recording
 
 
-def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
+def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False, database: Path | None = None) -> Recording:
     """Load a recording of any kind. A truncated file is read as far as possible, with a message; a fall gives one, too.
 
     Jittering time stamps of samples that are equidistant are replaced by those of the sampling clock, unless
-    `as_stamped`: for commands that replay or convert a recording.
+    `as_stamped`: for commands that replay or convert a recording. `database` is a DBC for a CAN log.
     """
     from estimators.data.segments import falls_at
     from service.offline.replay import load as load_any
@@ -27,7 +27,7 @@ def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Rec
     from vehicles.registry import nominal_model
 
     file = load(vehicle)
-    recording = load_any(path, file)
+    recording = load_any(path, file, database)
     if not as_stamped:
         recording = with_regular_times(recording)
     if recording.truncated:

@@ -17,9 +17,8 @@ from estimators.budget import UNLIMITED, Budget
 from service.control import assembly
 from service.control.rows import rows_from_frames
 from service.observer.online_estimators import EstimatorBank, online_estimators
-from service.offline import export
+from service.offline import can_log, export
 from telemetry import storage
-from telemetry.candump import CandumpReader
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
@@ -34,13 +33,19 @@ BATCH = 1000
 CONVERTED = (*storage.SUFFIXES, *export.SUFFIXES)
 
 
-def load(path: Path, vehicle: VehicleFile) -> Recording:
-    """A recording from a file of any kind, including raw logs, with its original time stamps.
+def load(path: Path, vehicle: VehicleFile, database: Path | None = None) -> Recording:
+    """A recording from a file of any kind, including CAN logs, with its original time stamps.
+
+    `database` is a DBC: the signals that it names in a CAN log, in place of the vehicle's channels.
 
     Raises:
         RecordingError: the file cannot be read, or contains no frames of this vehicle.
     """
-    if Path(path).suffix == ".log":
+    if database is not None:
+        from service.offline.dbc import signals
+
+        return signals(can_log.open_log(path), database, path)
+    if can_log.is_can_log(path):
         return from_raw_log(path, vehicle)
     return with_age(storage.load(path), vehicle)
 
@@ -65,15 +70,17 @@ def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
 
 
 def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
-    """The recording that the daemon made from the frames in a candump log.
+    """The recording that the daemon made, or would have made, from the frames in a CAN log of any format.
 
     Raises:
-        RecordingError: a line is not a CAN frame, or the frames give no complete sample.
+        RecordingError: there is no CAN frame in it, or the frames give no complete sample.
     """
     channels = assembly.channels(vehicle)
     io = assembly.vehicle_io(vehicle)
-    log = CandumpReader(path)
-    rows = list(rows_from_frames(log, io, registry.kind_of(vehicle, io), assembly.roll_filter(vehicle)))
+    log = can_log.open_log(path)
+    notes: list[str] = []
+    frames = can_log.of_vehicle(log, io, vehicle, notes)
+    rows = list(rows_from_frames(frames, io, registry.kind_of(vehicle, io), assembly.roll_filter(vehicle)))
     if not rows:
         raise RecordingError(str(path), "", f"its frames give no complete sample: {_missing(io)}", remedy=_CHECK)
     table = np.array([row.values for row in rows], dtype=np.float64)
@@ -87,14 +94,18 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
             "rate": str(vehicle.control.rate),
             "support": repr(vehicle.support),
         },
-        truncated=log.truncated,
+        truncated="; ".join(filter(None, (*notes, log.truncated))),
         source=str(path),
     )
+    beside = Path(path).with_suffix(".arrow")
     try:
-        return _completed(rebuilt, storage.load(Path(path).with_suffix(".arrow")))
+        if beside.exists():
+            return _completed(rebuilt, storage.load(beside))
+        why = f"there is no {beside.name} beside the log"
     except RecordingError as error:
-        notes = [rebuilt.truncated, f"{', '.join(not_on_the_bus(channels))} are unknown: {error}"]
-        return replace(rebuilt, truncated="; ".join(filter(None, notes)))
+        why = str(error)
+    notes = [rebuilt.truncated, f"{', '.join(not_on_the_bus(channels))} are unknown: {why}"]
+    return replace(rebuilt, truncated="; ".join(filter(None, notes)))
 
 
 def not_on_the_bus(channels: ChannelTable) -> tuple[str, ...]:

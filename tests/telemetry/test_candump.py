@@ -1,14 +1,15 @@
-"""Raw logs: every frame is restored, invalid lines are named, and a crash costs at most the last line."""
+"""Raw logs: every frame is restored, a line that is none costs no other, and a crash at most the last one."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telemetry.candump import CandumpReader, format_frame, format_frames, parse_line
+from telemetry.candump import CandumpReader, format_frame, format_frames, parse_line, parse_time
 from telemetry.errors import RecordingError
 from telemetry.samples import CanFrame
 
@@ -54,29 +55,61 @@ def test_last_line_without_an_end_is_left_out_and_reported(tmp_path: Path, tail:
     assert "line 2" in reader.truncated
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("(1.000000000) can0", "not enough values"),
-        ("1.000000000 can0 18A#00", "brackets"),
-        ("(1.0000) can0 18A#00", "decimals"),
-        ("(1.000000000) can0 18A##100", "CAN FD"),
-        ("(1.000000000) can0 18A00", "neither"),
-        ("(1.000000000) can0 18#00", "neither"),
-        ("(1.000000000) can0 XYZ#00", "invalid literal"),
-        ("(1.000000000) can0 18A#001", "hexadecimal|fromhex"),
-        ("(1.000000000) can0 18A#001122334455667788", "9 bytes"),
-        ("(1.000000000) can0 18A#R99999999999", "99999999999 bytes"),
-        ("(1.000000000) can0 18A#R-1", "-1 bytes"),
-    ],
-)
-def test_invalid_line_error_names_the_file_and_the_line(tmp_path: Path, line: str, words: str) -> None:
+WRONG = [
+    ("(1.000000000) can0", "not a CAN frame"),
+    ("18A#00", "not a CAN frame"),
+    ("(1.000000000) can0 18A00", "not a CAN frame"),
+    ("(1.000000000) can0 XYZ#00", "not a CAN frame"),
+    ("(a while ago) can0 18A#00", "not a CAN frame"),
+    ("(a while ago)  can0  18A   [1]  00", "no time"),
+    ("(1.000000000) can0 8FF#00", "8FF is not a CAN id"),
+    ("(1.000000000) can0 FFFFFFFF#00", "FFFFFFFF is not a CAN id"),
+    ("(1.000000000) can0 18A#001", "hexadecimal|fromhex"),
+    ("(1.000000000) can0 18A#001122334455667788", "9 bytes"),
+    ("(1.000000000) can0 18A#R99999999999", "remote frame of 99999999999 bytes"),
+    ("(1.000000000) can0 18A#R-1", "remote frame of -1 bytes"),
+    (" (1.000000)  can0  18A   [4]  00 11", "2 bytes of 4"),
+]
+
+
+@pytest.mark.parametrize(("line", "words"), WRONG)
+def test_line_that_is_no_frame_is_left_out_and_said(tmp_path: Path, line: str, words: str) -> None:
     log = tmp_path / "run.log"
     log.write_text(f"(0.000000000) can0 18A#00\n\n{line}\n(2.000000000) can0 18A#00\n")
+    reader = CandumpReader(log)
+    assert [frame.timestamp_ns for frame in reader] == [0, 2_000_000_000]
+    assert re.search(rf"1 line .*left out \(line 3: .*({words})", reader.truncated), reader.truncated
+
+
+@pytest.mark.parametrize(("line", "words"), WRONG)
+def test_log_without_a_frame_is_refused_with_the_line(tmp_path: Path, line: str, words: str) -> None:
+    log = tmp_path / "run.log"
+    log.write_text(f"# a comment\n{line}\n{line}\n")
     with pytest.raises(RecordingError, match=words) as caught:
         list(CandumpReader(log))
-    assert (caught.value.file, caught.value.key) == (str(log), "line 3")
+    assert (caught.value.file, caught.value.key) == (str(log), "line 2")
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1.5", 1_500_000_000),
+        ("0001730301035.27756", 1_730_301_035_277_560_000),
+        ("1730301035.2775601234", 1_730_301_035_277_560_123),
+        ("12", 12_000_000_000),
+        ("6.3e-05", 63_000),
+        ("2024-10-30 15:10:35.277560", 1_730_301_035_277_560_000),
+        ("2024-10-30T16:10:35.277560+01:00", 1_730_301_035_277_560_000),
+    ],
+)
+def test_times_are_read_in_every_spelling(text: str, expected: int) -> None:
+    assert parse_time(text) == expected
+
+
+def test_can_fd_frame_keeps_its_data() -> None:
+    frame = parse_line(f"(1.0) can0 7A0##3{bytes(range(12)).hex()}", {})
+    assert (frame.can_id, frame.data) == (0x7A0, bytes(range(12)))
 
 
 def test_missing_log_is_refused(tmp_path: Path) -> None:
