@@ -21,6 +21,7 @@ import gzip
 import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from itertools import chain, islice, pairwise
@@ -39,6 +40,9 @@ LENGTHS = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
 STEP_NS = 128_000_000
 """Time by which the clock of a log must go back for it to have been set: smaller offsets ntpd removes slowly, and
 frames of several interfaces, or of several senders, are out of order by less."""
+
+DIGITS = 11
+"""Of the seconds of a time, at most: with one more it is later than the year 5138."""
 
 LOOK = 1000
 """Frames from which is found out whether times are between two frames."""
@@ -134,16 +138,17 @@ def parse_line(line: str, buses: dict[str, int]) -> CanFrame:
 def parse_time(text: str) -> int:
     """ns of a time in s, with any number of decimals, or of a date (UTC if it names no zone). Raises ValueError."""
     seconds, _, fraction = text.partition(".")
-    if seconds.isdecimal() and (fraction.isdecimal() or not fraction):
+    if len(seconds) <= DIGITS and seconds.isdecimal() and (fraction.isdecimal() or not fraction):
         return int(seconds) * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))
-    try:
-        return int(Decimal(text) * 1_000_000_000)
-    except (InvalidOperation, OverflowError):
-        pass
+    with suppress(InvalidOperation):
+        number = Decimal(text)
+        if not abs(number) < 10**DIGITS:
+            raise ValueError(f"no time of this century: {text[:40]!r}")
+        return int(number * 1_000_000_000)
     try:
         date = datetime.fromisoformat(text)
     except ValueError:
-        raise ValueError(f"no time: {text!r}") from None
+        raise ValueError(f"no time: {text[:40]!r}") from None
     whole = date.replace(microsecond=0, tzinfo=date.tzinfo or UTC)
     return round(whole.timestamp()) * 1_000_000_000 + date.microsecond * 1000
 

@@ -280,7 +280,7 @@ def log() -> bytes:
 
 def read_log(path: Path) -> None:
     for frame in CandumpReader(path):
-        assert len(frame.data) <= 8
+        assert len(frame.data) <= 64
     replay.from_raw_log(path, vehicle())
 
 
