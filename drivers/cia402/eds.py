@@ -1,22 +1,28 @@
-"""Electronic data sheets (CiA 306) of drives: read by canopen, checked against what upright is going to use.
+"""Electronic data sheets (CiA 306) of drives: put right (`eds_text`), read by canopen, compared with what is needed.
 
 The EDS of another device loads without an error, but its names then refer to the wrong objects. So identity and types
-are compared before anything is written.
+are compared before anything is written. What the sheet leaves open the drive is asked (`check_device`); what it
+contradicts is refused.
 """
 
 from __future__ import annotations
 
 import configparser
+import io
 from pathlib import Path
 
-from canopen import ObjectDictionary, import_od
+from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary.eds import import_eds
 
 from drivers.cia402.config import DriveConfig, find_eds
+from drivers.cia402.eds_text import DATA_TYPES, UNKNOWN_TYPE, DataSheet, NoDataSheet
 from drivers.cia402.objects import CONTROLWORD, MODE, STATUSWORD, ObjectEntry
 from drivers.cia402.sdo import DriveSetupError, MissingObject, SdoDialogue
 
-TYPE_NAMES = {2: "INTEGER8", 3: "INTEGER16", 4: "INTEGER32", 5: "UNSIGNED8", 6: "UNSIGNED16", 7: "UNSIGNED32"}
+TYPE_NAMES = {number: name for name, number in DATA_TYPES.items()}
+SIZES = {0x01: 1, 0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
+"""Data type number to bytes, of the types that upright maps."""
 
 
 class EdsError(DriveSetupError):
@@ -29,48 +35,54 @@ class EdsError(DriveSetupError):
         self.file = file
 
 
-def load(config: DriveConfig) -> tuple[Path, ObjectDictionary]:
-    """The EDS or DCF of `config.eds`, for the drive's node id, with every object that is going to be used.
+def load(config: DriveConfig, warnings: list[str] | None = None) -> tuple[Path, ObjectDictionary]:
+    """The EDS or DCF of `config.eds`, for the drive's node id, and what is wrong in it but does no harm in `warnings`.
 
     Raises:
         DriveConfigError: there is no such file.
-        EdsError: the file is not an EDS, lacks an object, or has it with another type.
+        EdsError: the file is not an EDS, or has an object that is needed with another length.
     """
     file = find_eds(config.eds, drive=config.name)
     remedy = "Use the EDS that the drive's maker supplies for this model and firmware."
+    found: list[str] = [] if warnings is None else warnings
     try:
-        # Latin-1 reads any byte: makers' files come in several encodings, and only names are affected.
-        with file.open(encoding="latin-1") as source:
-            if not any(line.strip().lower() == "[deviceinfo]" for line in source):
-                raise EdsError(config, file, "is not an electronic data sheet: no [DeviceInfo]", remedy=remedy)
-            source.seek(0)
-            dictionary = import_od(source, config.node)
-    except (OSError, ValueError, KeyError, configparser.Error) as error:
+        sheet = DataSheet(file.read_bytes(), config.node)
+        dictionary = import_eds(io.StringIO(sheet.text), config.node)  # type: ignore[no-untyped-call]
+    except NoDataSheet as error:
+        raise EdsError(config, file, str(error), remedy=remedy) from error
+    except OSError as error:
+        raise EdsError(config, file, f"cannot be read: {error.strerror}", remedy=remedy) from error
+    except (ValueError, KeyError, configparser.Error) as error:
         raise EdsError(config, file, f"cannot be read: {error}", remedy=remedy) from error
-    for entry in {CONTROLWORD, STATUSWORD, MODE, *config.mapped_objects}:
-        _check_entry(config, file, dictionary, entry)
+    found.extend(sheet.warnings)
+    for entry in dict.fromkeys((CONTROLWORD, STATUSWORD, MODE, *config.mapped_objects)):
+        _check_entry(config, file, dictionary, entry, found)
     return file, dictionary
 
 
-def _check_entry(config: DriveConfig, file: Path, dictionary: ObjectDictionary, entry: ObjectEntry) -> None:
-    found = dictionary.get_variable(entry.index, entry.subindex)
-    if not isinstance(found, ODVariable):
-        raise EdsError(
-            config,
-            file,
-            "the EDS does not have this object",
-            entry=entry,
-            remedy="Take it out of rpdo and tpdo in the vehicle file, or name the EDS of this drive.",
-        )
-    if found.data_type != entry.data_type:
-        there = TYPE_NAMES.get(found.data_type or 0, f"type {found.data_type}")
-        raise EdsError(
-            config,
-            file,
-            f"the EDS has this object as {there}, not {TYPE_NAMES[entry.data_type]}",
-            entry=entry,
-            remedy="Name the EDS of this drive, or map another object.",
-        )
+def _check_entry(
+    config: DriveConfig, file: Path, dictionary: ObjectDictionary, entry: ObjectEntry, warnings: list[str]
+) -> None:
+    section = f"{entry.index:04X}" + (f"sub{entry.subindex:X}" if entry.subindex else "")
+    expected = TYPE_NAMES[entry.data_type]
+    variable = dictionary.get_variable(entry.index, entry.subindex)
+    if not isinstance(variable, ODVariable):
+        warnings.append(f"[{section}] ({entry.name}) is missing: the drive is asked for it at set-up")
+        return
+    found = variable.data_type or UNKNOWN_TYPE
+    if found == entry.data_type or found == UNKNOWN_TYPE:
+        return
+    there = TYPE_NAMES.get(found, f"type {found:#x}")
+    if SIZES.get(found) == entry.size:
+        warnings.append(f"[{section}] DataType: is {there}, and {expected} in CiA 402, as which it is used")
+        return
+    raise EdsError(
+        config,
+        file,
+        f"[{section}] DataType: has this object as {there}, not {expected}",
+        entry=entry,
+        remedy="Name the EDS of this drive, or map another object.",
+    )
 
 
 def check_device(sdo: SdoDialogue, file: Path) -> None:
@@ -87,7 +99,7 @@ def check_device(sdo: SdoDialogue, file: Path) -> None:
             raise EdsError(
                 sdo.config,
                 file,
-                "the EDS has this object, but the drive does not",
+                "the drive does not have this object",
                 entry=entry,
                 remedy="Name the EDS of this drive and its firmware, or map another object.",
             ) from error

@@ -158,9 +158,9 @@ def _switch_off_rest(sdo: SdoDialogue, dictionary: ObjectDictionary) -> None:
     for direction, used in ((rpdo, len(sdo.config.rpdo)), (tpdo, len(sdo.config.tpdo))):
         for number in range(used + 1, 513):
             entries = direction(number)
-            if entries.communication not in dictionary:
-                break
             cob_id = sdo.find(entries.cob_id)
+            if cob_id is None and entries.communication not in dictionary:
+                break  # neither the drive nor its EDS has one more
             if cob_id is None or cob_id & INVALID:
                 continue
             try:

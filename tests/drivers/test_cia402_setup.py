@@ -284,15 +284,11 @@ def edited_eds(folder: Path, old: str, new: str) -> DriveConfig:
     [
         ("ProductNumber=0x00000402", "ProductNumber=0x00000403", "belongs to another device"),
         ("VendorNumber=0x00555052", "VendorNumber=0x0000026C", "belongs to another device"),
-        ("[6042]", "[6142]", "the EDS does not have this object"),
         (
             "[606C]\nParameterName=Velocity actual value\nObjectType=0x7\nDataType=0x0004",
             "[606C]\nParameterName=Velocity actual value\nObjectType=0x7\nDataType=0x0003",
             "as INTEGER16, not INTEGER32",
         ),
-        ("[DeviceInfo]", "[Device]", "is not an electronic data sheet"),
-        ("ParameterName=Controlword\n", "", "cannot be read"),
-        ("[6041]", "[6040]", "cannot be read"),
     ],
 )
 def test_mismatched_or_invalid_eds_is_refused(
@@ -304,6 +300,15 @@ def test_mismatched_or_invalid_eds_is_refused(
     assert error.file == tmp_path / "other.eds"
     assert "other.eds" in str(error)
     assert device.written == []
+
+
+def test_object_that_the_eds_lacks_is_asked_of_the_drive(
+    network: canopen.Network, device: Device, tmp_path: Path
+) -> None:
+    config = edited_eds(tmp_path, "[6042]", "[6142]")
+    assert configure(network, config, SUPERVISION).warnings == ()
+    device.lacks(0x6042)
+    assert "target_velocity (6042h:0)" in str(refused(network, config))
 
 
 def test_eds_may_omit_the_product_number(network: canopen.Network, device: Device, tmp_path: Path) -> None:
