@@ -13,6 +13,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from drivers import can_ids
+
 IMU_RATES = (50, 100, 200, 250, 500)
 """Stream rates that are fast enough to balance on, Hz: those of the LPMS-IG1, and the 200 Hz of others."""
 
@@ -488,6 +490,24 @@ class VehicleFile(Section):
                 f"imu.base_id {self.imu.base_id:#x}: CANopen id {self.imu.base_id & 0x7F} is also a drive's node "
                 "id, and both would send the same frames; change it in the device and here"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _ids_do_not_clash(self) -> Self:
+        """A set of frames with consecutive ids may reach into those of CANopen."""
+        if self.bus.imu != self.bus.drives:
+            return self
+        nodes = [can_ids.Node(each.name, each.node, len(each.rpdo), len(each.tpdo)) for each in self.drive]
+        owners = can_ids.owners(self.control.master_node, nodes)
+        ids = can_ids.imu_ids(self.imu.protocol, self.imu.base_id, self.imu.precision, self.imu.slots)
+        for can_id in ids:
+            if can_id in owners:
+                free = can_ids.free_base(len(ids), owners)
+                use = f", for example {free:#x}" if self.imu.protocol == "sequential" and free is not None else ""
+                raise ValueError(
+                    f"imu.base_id {self.imu.base_id:#x}: the IMU's frame {can_id:03X}h carries {owners[can_id]} as "
+                    f"well; set another id in the device and here{use}, or use a second bus"
+                )
         return self
 
     def with_values(self, values: Mapping[str, float], deviations: Mapping[str, float] | None = None) -> Self:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from service.cli.arguments import VehicleArgument
 from service.output import page, print_json
@@ -21,13 +22,15 @@ def register(app: typer.Typer) -> None:
 
 @config.command(epilog="Example: `upright config check my_vehicle.toml`")
 def check(file: VehicleArgument, json: JsonOption = False) -> None:
-    """Check a vehicle file: keys, units, node ids, bus load, and robustness of the controller to the CAD uncertainty.
+    """Check a vehicle file: keys, units, CAN ids, the EDS of each drive, bus load, and robustness of the controller.
 
-    With exit code 1 the first wrong key and the remedy are printed.
+    With exit code 1 the first wrong key and the remedy are printed. What is wrong in an EDS but does no harm is a note.
     """
+    from drivers.cia402 import eds
     from service.control import assembly
     from service.control.sequence import plan
     from vehicles import registry
+    from vehicles.drives import drive_config
     from vehicles.file import load
 
     vehicle = load(file)
@@ -35,12 +38,16 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
     pilot = kind.pilot()
     plans = {name: plan(vehicle, name, pilot, kind.angle) for name in vehicle.experiments}
     load_percent = assembly.bus_load(vehicle)
+    sheets: dict[str, list[str]] = {}
+    for section in vehicle.drive:
+        eds.load(drive_config(vehicle, section), sheets.setdefault(section.name, []))
     if json:
         print_json({
             "file": vehicle.path,
             "vehicle": vehicle.vehicle.id,
             "configuration_hash": vehicle.configuration_hash,
             "bus_load_percent": load_percent,
+            "eds": sheets,
             "controller": pilot.findings(),
             "experiments": {name: {"title": vehicle.experiments[name].title} for name in plans},
         })  # fmt: skip
@@ -49,6 +56,9 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
     for bus, percent in load_percent.items():
         note = "  [yellow]too much: use a second bus, or fewer IMU slots[/yellow]" if percent > 70 else ""
         page.print(f"  bus {bus}: {percent:.0f} % of {vehicle.bus.bitrate / 1e3:.0f} kbit/s{note}")
+    for name, notes in sheets.items():
+        for note in notes:
+            page.print(f"  [yellow]eds of drive {name}: {escape(note)}[/yellow]", soft_wrap=True)
     for line in pilot.words():
         page.print(f"  {line}")
     for name, each in plans.items():

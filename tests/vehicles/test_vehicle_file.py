@@ -13,6 +13,10 @@ from vehicles.file import VehicleFileError, load, schema, shipped, shipped_file
 MONOCAB = (Path(__file__).parents[2] / "vehicles" / "monocab" / "vehicle.toml").read_text()
 
 
+CANOPEN = 'protocol = "canopen"                # or "sequential"\nbase_id = 0x18A'
+SEQUENTIAL = 'protocol = "sequential"\nbase_id = '
+
+
 def changed(tmp_path: Path, old: str, new: str) -> str:
     """The path of a copy of the shipped file with one text replaced."""
     assert old in MONOCAB
@@ -46,6 +50,15 @@ def test_user_vehicle_file_loads_and_changes_the_hash(tmp_path: Path) -> None:
         ("node = 2", "node = 1", "", "two drives have the same node id"),
         ("node = 2", "node = 127", "", "also the node id of a drive"),
         ("base_id = 0x18A", "base_id = 0x182", "", "is also a drive's node id"),
+        (CANOPEN, SEQUENTIAL + "0x581", "", "frame 581h carries SDO answers of drive gimbal_left (node 1)"),
+        (CANOPEN, SEQUENTIAL + "0x57F", "", "frame 581h carries SDO answers of drive gimbal_left"),
+        (CANOPEN, SEQUENTIAL + "0x602", "", "SDO requests to drive gimbal_right"),
+        (CANOPEN, SEQUENTIAL + "0x702", "", "the heartbeat of drive gimbal_right"),
+        (CANOPEN, SEQUENTIAL + "0x77E", "", "this service's heartbeat (node 127)"),
+        (CANOPEN, SEQUENTIAL + "0x07F", "", "the SYNC"),
+        (CANOPEN, SEQUENTIAL + "0x082", "", "emergencies of drive gimbal_right (node 2) as well; set another id"),
+        (CANOPEN, SEQUENTIAL + "0x1FF", "", "setpoints (RPDO 1) of drive gimbal_left"),
+        (CANOPEN, SEQUENTIAL + "0x280", "", "for example 0x500"),
         ('role = "trim"', 'role = "gimbal"', "drive", "trim: a gimbal drive needs gear_ratio"),
         ("gear_ratio = 100.0 ", "gear_ratio = -1.0 ", "drive.0.gear_ratio", "greater than 0"),
         ("mode = 2   ", "mode = 3   ", "drive.0.mode", "found 3"),
@@ -66,6 +79,12 @@ def test_error_names_file_key_and_remedy(tmp_path: Path, old: str, new: str, key
     assert caught.value.key == key
     assert said in str(caught.value)
     assert "Remedy:" in str(caught.value)
+
+
+def test_ids_of_two_buses_do_not_clash(tmp_path: Path) -> None:
+    path = changed(tmp_path, CANOPEN, SEQUENTIAL + "0x581")
+    Path(path).write_text(Path(path).read_text().replace('imu = "socketcan:can0"', 'imu = "socketcan:can1"'))
+    assert load(path).imu.base_id == 0x581
 
 
 def test_missing_section_is_named(tmp_path: Path) -> None:
