@@ -26,6 +26,8 @@ def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:
         vendor_id=drive.vendor_id,
         product_code=drive.product_code,
         stop_reaction=drive.stop_reaction,
+        sdo_timeout=drive.sdo_timeout,
+        mode_timeout=drive.mode_timeout,
         rpdo=tuple(tuple(pdo) for pdo in drive.rpdo),
         tpdo=tuple(tuple(pdo) for pdo in drive.tpdo),
         target_velocity_fine_index=drive.target_velocity_fine_index,

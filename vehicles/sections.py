@@ -184,7 +184,12 @@ class DriveSection(Section):
     product_code: Annotated[int, Field(ge=0)] = 0
     setpoint_resolution: Annotated[float, Field(ge=0.0)] = 0.0
     """Of the setpoint (rad/s, m/s, N m or V), if the drive's is coarser than its objects: a PWM bridge has steps."""
-    stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
+    stop_reaction: Literal["quick_stop", "disable_voltage", "fault"] = "quick_stop"
+    """What the drive does when this service is gone (6007h)."""
+    sdo_timeout: Annotated[float, up_to(30.0, "a drive that is off would be noticed too late")] = 1.0
+    """s that the drive may need to answer an SDO request, as after boot-up or while it stores a mapping."""
+    mode_timeout: Annotated[float, up_to(60.0, "a drive that does not follow would be noticed too late")] = 5.0
+    """s that the drive may need to adopt a mode, or to switch off."""
     target_velocity_fine_index: Annotated[int, Field(ge=0x2000, le=0x5FFF)] = 0x2F15
     """Vendor object of the fine part of the target velocity (1/8192 rpm), if `rpdo` maps it."""
     rpdo: list[list[str]]

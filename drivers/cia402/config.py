@@ -67,8 +67,12 @@ class DriveConfig:
     """1018h:2; 0: not checked."""
     setpoint_resolution: float = 0.0
     """Resolution in axis unit/s, N m or V, if it is coarser than that of the objects; 0: that of the objects."""
-    stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
+    stop_reaction: Literal["quick_stop", "disable_voltage", "fault"] = "quick_stop"
     """What the drive does when the master is gone (6007h)."""
+    sdo_timeout: float = 1.0
+    """s that the drive may need to answer an SDO request, as after boot-up or while it stores a mapping."""
+    mode_timeout: float = 5.0
+    """s that the drive may need to adopt a mode, or to switch off."""
     target_velocity_fine_index: int = 0x2F15
     """Vendor object of the fine part of the target velocity, 1/8192 rpm."""
 
@@ -79,6 +83,10 @@ class DriveConfig:
             self._refuse("direction", f"{self.direction} is not a sign", "Use 1 or -1.")
         if self.mode not in MODES:
             self._refuse("mode", f"this driver has no mode {self.mode}", f"Use {_either(MODES)}.")
+        for key in ("sdo_timeout", "mode_timeout"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                self._refuse(key, f"{value} is not a time in s", "Use a little more than the drive needs.")
         for key in ("axis_per_turn", "increments_per_turn", "velocity_unit_rpm", "rated_torque"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0):

@@ -13,7 +13,7 @@ from canopen import ObjectDictionary
 from drivers.cia402 import pdo
 from drivers.cia402.objects import ObjectEntry
 from drivers.cia402.pdo import PdoCodec
-from drivers.cia402.sdo import DriveSetupError, MissingObject, SdoDialogue, milliseconds
+from drivers.cia402.sdo import DriveSetupError, MissingObject, Refused, SdoDialogue, milliseconds
 
 INVALID = 1 << 31
 """Bit of a PDO's COB-ID: the PDO is off."""
@@ -82,7 +82,7 @@ def configure_pdos(sdo: SdoDialogue, dictionary: ObjectDictionary, rpdo_timeout:
     for number, (cob_id, codec) in enumerate(config.rpdo_codecs.items(), start=1):
         entries = rpdo(number)
         _configure(sdo, entries, cob_id, codec)
-        watches &= sdo.set_where_present(
+        watches &= sdo.set_if_accepted(
             entries.event_timer,
             milliseconds(rpdo_timeout),
             without="the drive does not notice missing setpoints while the heartbeat goes on",
@@ -144,7 +144,7 @@ def _write_mapping(sdo: SdoDialogue, entries: PdoEntries, codec: PdoCodec) -> No
 def _set_transmission(sdo: SdoDialogue, entries: PdoEntries) -> None:
     try:
         sdo.set(entries.transmission_type, AT_SYNC)
-    except DriveSetupError:
+    except Refused:
         if entries.kind == "TPDO":
             raise  # without it values would not arrive, or not at the SYNC
         found = sdo.read(entries.transmission_type)
@@ -165,5 +165,5 @@ def _switch_off_rest(sdo: SdoDialogue, dictionary: ObjectDictionary) -> None:
                 continue
             try:
                 sdo.set(entries.cob_id, cob_id | INVALID)
-            except DriveSetupError as error:
+            except Refused as error:
                 sdo.warnings.append(f"{entries.name} is not used and cannot be switched off: {error.reason}")

@@ -6,9 +6,10 @@ drive in NMT pre-operational, disabled; the control loop starts and enables it. 
 
 from __future__ import annotations
 
+import contextlib
 import math
-import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import canopen
 
@@ -17,14 +18,21 @@ from drivers.cia402 import objects as od
 from drivers.cia402.config import DriveConfig
 from drivers.cia402.nmt import NmtCommand
 from drivers.cia402.pdo_setup import configure_pdos
-from drivers.cia402.sdo import DriveSetupError, MissingNode, SdoDialogue, milliseconds
+from drivers.cia402.sdo import DriveSetupError, MissingNode, Refused, SdoDialogue, milliseconds
+from drivers.cia402.sdo_client import WALL, Clock
 from drivers.cia402.states import State
 
-PATIENCE = 1.0
-"""s within which a drive must adopt a mode or switch off."""
+POLL_PERIOD = 0.02
+"""s between two looks at a drive that adopts a mode or switches off."""
 
-STOP_REACTIONS = {"disable_voltage": 2, "quick_stop": 3}
-"""Values of the abort connection option code (6007h)."""
+STOP_REACTIONS = {"fault": 1, "disable_voltage": 2, "quick_stop": 3}
+"""Values of the abort connection option code (6007h); 0 is no reaction, and negative ones are the makers'."""
+
+SYNC_BITS = 0x7FFFFFFF
+"""Of 1005h: bit 31 means nothing (CiA 301), bit 30 that the drive produces the SYNC."""
+
+EMERGENCY_BITS = 0xBFFFFFFF
+"""Of 1014h: bit 30 is reserved, bit 31 means that the drive sends none."""
 
 CIA402_PROFILE = 402
 
@@ -72,21 +80,38 @@ class DriveReport:
 
 
 def configure(
-    network: canopen.Network, config: DriveConfig, supervision: Supervision, before: DriveReport | None = None
+    network: canopen.Network,
+    config: DriveConfig,
+    supervision: Supervision,
+    before: DriveReport | None = None,
+    clock: Clock = WALL,
 ) -> DriveReport:
     """Make the drive of `config` ready to be started (NMT) and enabled, and read back all that was written.
 
-    One that was set up `before` has to be the same device with the same firmware.
+    One that was set up `before` has to be the same device with the same firmware. What is right already is not written.
+    A refusal ends the set-up if the vehicle cannot run without it; else it is a warning of the report.
 
     Raises:
         DriveConfigError: the EDS file does not exist.
         DriveSetupError: with the node, the object and the remedy; `MissingNode` if nothing answers.
     """
     file, dictionary = eds.load(config)
-    node = network.add_node(canopen.RemoteNode(config.node, dictionary))
-    sdo = SdoDialogue(node, config)
-    network.send_message(*nmt.command_frame(NmtCommand.PRE_OPERATIONAL, config.node))
+    sdo = SdoDialogue(network, config, clock)
+    try:
+        network.send_message(*nmt.command_frame(NmtCommand.PRE_OPERATIONAL, config.node))
+        return _configure(sdo, file, dictionary, supervision, before)
+    finally:
+        sdo.close()
 
+
+def _configure(
+    sdo: SdoDialogue,
+    file: Path,
+    dictionary: canopen.ObjectDictionary,
+    supervision: Supervision,
+    before: DriveReport | None,
+) -> DriveReport:
+    config = sdo.config
     device_type = _check_profile(sdo)
     vendor_id, product_code = _check_identity(sdo)
     eds.check_identity(config, file, dictionary, vendor_id, product_code)
@@ -103,12 +128,6 @@ def configure(
             "last speed when the master is gone",
             remedy="Use a drive, or a firmware, that has one of them.",
         )
-    stop_reaction = STOP_REACTIONS[config.stop_reaction]
-    reaction_set = sdo.set_where_present(
-        od.ABORT_CONNECTION_OPTION,
-        stop_reaction,
-        without="what the drive does when the master is gone is set in its own parameters; test it by pulling the plug",
-    )
     return DriveReport(
         name=config.name,
         node=config.node,
@@ -123,7 +142,7 @@ def configure(
         supported_modes=supported,
         mode=config.mode,
         quick_stop_option=_check_quick_stop(sdo),
-        stop_reaction=stop_reaction if reaction_set else None,
+        stop_reaction=_set_stop_reaction(sdo),
         watches_heartbeat=watches_heartbeat,
         watches_rpdos=watches_rpdos,
         changes=tuple(sdo.changes),
@@ -181,15 +200,16 @@ def _switch_off(sdo: SdoDialogue) -> tuple[State, int | None]:
     off = (State.SWITCH_ON_DISABLED, State.NOT_READY_TO_SWITCH_ON, State.FAULT)
     if state not in off:
         sdo.write(od.CONTROLWORD, states.DISABLE_VOLTAGE)
-        deadline = time.monotonic() + PATIENCE
+        deadline = sdo.clock.now() + sdo.config.mode_timeout
         while state not in off:
-            if time.monotonic() > deadline:
+            if sdo.clock.now() > deadline:
                 raise sdo.refuse(
                     f"stays in {state.value} after disable voltage",
                     entry=od.STATUSWORD,
-                    remedy="Switch the drive off by hand, and check that nothing else on the bus controls it.",
+                    remedy="Switch the drive off by hand, and check that nothing else on the bus controls it; if it "
+                    "brakes for longer, write mode_timeout in its section.",
                 )
-            time.sleep(0.005)
+            sdo.clock.sleep(POLL_PERIOD)
             state = states.classify(sdo.read(od.STATUSWORD))
     if state is not State.FAULT:
         return arrival, None
@@ -211,23 +231,33 @@ def _select_mode(sdo: SdoDialogue) -> tuple[int, ...] | None:
             entry=od.SUPPORTED_MODES,
             remedy="Choose another one under mode in the vehicle file, or set the drive up for this one.",
         )
-    sdo.write(od.MODE, mode)
-    deadline = time.monotonic() + PATIENCE
+    if _requested_mode(sdo) != mode:
+        sdo.write(od.MODE, mode)
+    deadline = sdo.clock.now() + sdo.config.mode_timeout
     while (shown := sdo.read(od.MODE_DISPLAY)) != mode:
-        if time.monotonic() > deadline:
+        if sdo.clock.now() > deadline:
             raise sdo.refuse(
-                f"is {shown} after mode {mode} was requested",
+                f"is {shown} {sdo.config.mode_timeout:g} s after mode {mode} was requested",
                 entry=od.MODE_DISPLAY,
-                remedy="Check in the drive's manual what this mode needs (mode 9 often a synchronous cycle).",
+                remedy="Check in the drive's manual what this mode needs (mode 9 often a synchronous cycle); if the "
+                "drive needs longer for it, write mode_timeout in its section.",
             )
-        time.sleep(0.005)
+        sdo.clock.sleep(POLL_PERIOD)
     return supported
+
+
+def _requested_mode(sdo: SdoDialogue) -> int | None:
+    """The mode that the drive was asked for last; None if it does not show that."""
+    try:
+        return sdo.read(od.MODE)
+    except Refused:
+        return None
 
 
 def _set_sync(sdo: SdoDialogue, supervision: Supervision) -> None:
     """The drive must receive SYNC on 080h and not produce it; in a cyclic mode it must also know the cycle."""
-    sdo.set_where_present(od.SYNC_COB_ID, 0x80, without="assumed to be 080h")
-    if sdo.config.operation.cyclic:
+    sdo.set_where_present(od.SYNC_COB_ID, 0x80, without="assumed to be 080h", bits=SYNC_BITS)
+    if sdo.config.operation.cyclic and not _knows_cycle(sdo, supervision.cycle_period):
         exponent = -3 if math.isclose(supervision.cycle_period % 1e-3, 0.0, abs_tol=1e-9) else -4
         value = round(supervision.cycle_period * 10.0**-exponent)
         without = "the drive must find out the cycle of the setpoints by itself"
@@ -235,21 +265,58 @@ def _set_sync(sdo: SdoDialogue, supervision: Supervision) -> None:
             sdo.set_where_present(od.INTERPOLATION_EXPONENT, exponent, without=without)
 
 
+def _knows_cycle(sdo: SdoDialogue, period: float) -> bool:
+    """Whether 60C2h gives the period (s) already, in whatever units."""
+    value, exponent = sdo.find(od.INTERPOLATION_TIME), sdo.find(od.INTERPOLATION_EXPONENT)
+    return value is not None and exponent is not None and math.isclose(value * 10.0**exponent, period, rel_tol=1e-6)
+
+
 def _set_heartbeats(sdo: SdoDialogue, supervision: Supervision) -> bool:
     """The drive's own heartbeat, and the one that it monitors. False if it cannot monitor one."""
     timeout = milliseconds(supervision.heartbeat_timeout)
-    watches = sdo.set_where_present(
+    watches = sdo.set_if_accepted(
         od.CONSUMER_HEARTBEAT,
         supervision.master_node << 16 | timeout,
         without="the drive does not notice a dead master by its heartbeat, only by missing setpoints",
     )
     sdo.set(od.PRODUCER_HEARTBEAT, milliseconds(supervision.heartbeat_period))
-    sdo.set_where_present(
+    sdo.set_if_accepted(
         od.EMERGENCY_COB_ID,
         nmt.EMERGENCY_COB_ID + sdo.config.node,
         without="the drive does not say why it has a fault",
+        bits=EMERGENCY_BITS,
     )
     return watches
+
+
+def _set_stop_reaction(sdo: SdoDialogue) -> int | None:
+    """What the drive does when the master is gone; None if it does not have the object.
+
+    If the drive does not know the reaction of the vehicle file, any other that stops it will do.
+    """
+    entry, wanted = od.ABORT_CONNECTION_OPTION, STOP_REACTIONS[sdo.config.stop_reaction]
+    test = "test it by pulling the plug"
+    try:
+        own = f"what the drive does when the master is gone is set in its own parameters; {test}"
+        return wanted if sdo.set_where_present(entry, wanted, without=own) else None
+    except Refused as error:
+        reason = error.reason
+    found = sdo.read(entry)
+    others = iter(value for value in STOP_REACTIONS.values() if value != wanted)
+    while found == 0 and (value := next(others, None)) is not None:
+        with contextlib.suppress(Refused):
+            sdo.set(entry, value)
+            found = value
+    if found == 0:
+        raise sdo.refuse(
+            f"is 0, so that the drive goes on when the master is gone, and takes no other value ({reason})",
+            entry=entry,
+            remedy="Set in the drive's own parameters that it stops, or use a firmware that can.",
+        )
+    name = next((name for name, value in STOP_REACTIONS.items() if value == found), "")
+    use = f'write stop_reaction = "{name}" if that is right' if name else "its manual says what that is"
+    sdo.warnings.append(f"{reason}: the drive reacts with {found} instead; {use}, and {test}")
+    return found
 
 
 def _check_quick_stop(sdo: SdoDialogue) -> int | None:

@@ -15,11 +15,11 @@ from typing import Any
 import canopen
 import pytest
 from canopen.objectdictionary.datatypes import INTEGER32
-from canopen.sdo.client import SdoClient
 
 from drivers.cia402.config import DriveConfig, DriveConfigError, find_eds
 from drivers.cia402.eds import EdsError
-from drivers.cia402.sdo import ATTEMPTS, DriveSetupError, MissingNode
+from drivers.cia402.sdo import DriveSetupError, MissingNode
+from drivers.cia402.sdo_client import ATTEMPTS
 from drivers.cia402.setup import DriveReport, Supervision, configure
 from drivers.cia402.states import State
 
@@ -222,12 +222,11 @@ def test_more_pdos_than_the_drive_has_are_refused(network: canopen.Network, devi
     assert "the drive has no TPDO2" in str(refused(network))
 
 
-def test_a_missing_node(network: canopen.Network, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SdoClient, "RESPONSE_TIMEOUT", 0.01)
+def test_a_missing_node(network: canopen.Network) -> None:
     requests: list[bytes] = []
     with connected("test_a_missing_node") as listener:
         listener.subscribe(0x603, lambda can_id, data, timestamp: requests.append(bytes(data)))
-        error = refused(network)
+        error = refused(network, replace(SERVO, sdo_timeout=0.01))
         aborted = time.monotonic() + 1.0
         while not (requests and requests[-1][0] == 0x80) and time.monotonic() < aborted:
             time.sleep(0.005)
@@ -237,19 +236,18 @@ def test_a_missing_node(network: canopen.Network, monkeypatch: pytest.MonkeyPatc
     assert [data[0] for data in requests] == [0x40] * ATTEMPTS + [0x80], "asked a few times, then the transfer aborted"
 
 
-def test_node_that_stops_answering_during_setup_is_reported(
-    network: canopen.Network, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(SdoClient, "RESPONSE_TIMEOUT", 0.02)
+def test_node_that_stops_answering_during_setup_is_reported(network: canopen.Network, device: Device) -> None:
 
     def unplug(index: int, subindex: int, od: object, data: bytes) -> None:
         if index == 0x6060:
             device.node.network.unsubscribe(0x603)
 
+    device.set(0x6060, 0, 9)
     device.node.add_write_callback(unplug)
-    error = refused(network)
+    error = refused(network, replace(SERVO, sdo_timeout=0.02))
     assert not isinstance(error, MissingNode)
     assert "answered before" in str(error)
+    assert "sdo_timeout" in error.remedy
 
 
 @pytest.mark.parametrize(("change", "key"), [({"vendor_id": 0x9A}, "vendor_id"), ({"product_code": 7}, "product_code")])
@@ -340,18 +338,18 @@ def test_unsupported_mode_is_refused_and_not_written(network: canopen.Network, d
     assert not [entry for entry in device.written if entry[0] == 0x6060]
 
 
-def test_mode_that_the_drive_does_not_adopt_is_refused(
-    network: canopen.Network, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
+def test_mode_that_the_drive_does_not_adopt_is_refused(network: canopen.Network, device: Device) -> None:
+    device.set(0x6060, 0, 9)
     device.stuck_mode = 0
-    assert "is 0 after mode 2 was requested" in str(refused(network))
+    error = refused(network, replace(SERVO, mode_timeout=0.05))
+    assert "is 0 0.05 s after mode 2 was requested" in str(error)
+    assert "mode_timeout" in error.remedy
 
 
 def test_value_that_does_not_read_back_is_refused(network: canopen.Network, device: Device) -> None:
-    device.node.add_read_callback(lambda index, subindex, od: 1 if index == 0x6007 else None)
+    device.node.add_read_callback(lambda index, subindex, od: 1 if index == 0x1017 else None)
     error = refused(network)
-    assert "abort connection option code (6007h:0): is still 0x1 after 0x3" in str(error)
+    assert "producer heartbeat time (1017h:0): is still 0x1 after 0x28" in str(error)
 
 
 def test_sdo_abort_of_a_write_is_reported_with_its_object(network: canopen.Network, device: Device) -> None:
@@ -390,13 +388,11 @@ def test_a_drive_that_is_still_enabled_is_switched_off_first(network: canopen.Ne
     assert device.written[0] == (0x6040, 0, 0)
 
 
-def test_drive_that_does_not_switch_off_is_refused(
-    network: canopen.Network, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
+def test_drive_that_does_not_switch_off_is_refused(network: canopen.Network, device: Device) -> None:
     device.follows = False
     device.set(0x6041, 0, 0x0237)
-    assert "stays in Operation enabled after disable voltage" in str(refused(network))
+    slow = replace(SERVO, mode_timeout=0.05)
+    assert "stays in Operation enabled after disable voltage" in str(refused(network, slow))
 
 
 def test_drive_in_fault_is_configured_and_its_error_is_reported(network: canopen.Network, device: Device) -> None:
@@ -441,7 +437,9 @@ def test_short_sdo_answer_is_refused_with_its_object(
     network: canopen.Network, other: canopen.Network, length: int
 ) -> None:
     Stranger(other, lambda request: (b"\x4b" + request[1:4] + bytes(4))[:length])
-    assert "device type (1000h:0)" in str(refused(network))
+    error = refused(network, replace(SERVO, sdo_timeout=0.02))
+    assert "device type (1000h:0)" in str(error)
+    assert "3 other SDO answers" in str(error)
 
 
 def test_endless_sdo_answer_ends(network: canopen.Network, other: canopen.Network) -> None:
@@ -454,10 +452,8 @@ def test_endless_sdo_answer_ends(network: canopen.Network, other: canopen.Networ
 
 @pytest.mark.parametrize("seed", range(20))
 def test_no_sdo_answer_whatever_raises_anything_but_a_set_up_error(
-    network: canopen.Network, other: canopen.Network, seed: int, monkeypatch: pytest.MonkeyPatch
+    network: canopen.Network, other: canopen.Network, seed: int
 ) -> None:
-    monkeypatch.setattr(SdoClient, "RESPONSE_TIMEOUT", 0.02)
-    monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
     random = Random(seed)
 
     def garbled(request: bytes) -> bytes:
@@ -465,7 +461,7 @@ def test_no_sdo_answer_whatever_raises_anything_but_a_set_up_error(
         return (head + request[1:4] + random.randbytes(4))[: random.choice((8, 8, 8, 8, random.randrange(9)))]
 
     Stranger(other, garbled)
-    refused(network)
+    refused(network, replace(SERVO, sdo_timeout=0.02, mode_timeout=0.05))
 
 
 @pytest.mark.parametrize(("subindex", "words"), [(3, "revision number"), (4, "serial number")])

@@ -5,19 +5,19 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import canopen
-from canopen.sdo.client import SdoClient
 from faults.bench import Bench
 from hypothesis import strategies as st
 from simulated_bus import Harness
 
 from drivers.canopen_link import CanopenLink
-from drivers.cia402 import eds, setup
+from drivers.cia402 import eds
 from drivers.cia402.setup import Supervision, configure
 from fuzz.target import Refused, Target, Trial
 from service.control import assembly
@@ -207,17 +207,13 @@ class Distorted(canopen.Network):
 @contextmanager
 def sdo_opened(folder: Path) -> Iterator[Trial]:
     vehicle = load("monocab")
-    drive = assembly.drive_config(vehicle, vehicle.drive[0])
+    drive = replace(assembly.drive_config(vehicle, vehicle.drive[0]), sdo_timeout=0.002, mode_timeout=0.02)
     supervision = Supervision(127, 0.04, 0.12, 0.12, vehicle.period)
 
     def trial(data: bytes) -> None:
         configure(Distorted(Harness(), data), drive, supervision)
 
-    with (
-        mock.patch.object(SdoClient, "RESPONSE_TIMEOUT", 0.002),
-        mock.patch.object(setup, "PATIENCE", 0.02),
-        mock.patch.object(eds, "load", cache(eds.load)),  # the answers are what is wrong here
-    ):
+    with mock.patch.object(eds, "load", cache(eds.load)):  # the answers are what is wrong here
         yield trial
 
 
