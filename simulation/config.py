@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from simulation.disturbance import Disturbance, RandomTorque
+from simulation.drive_habits import DriveHabits
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
 from simulation.registry import Registry, sizes_of
 from telemetry.samples import Vector3
@@ -72,6 +73,8 @@ class DriveNode:
     """Vendor object of the fine part of the target velocity, 1/8192 rpm."""
     ramp_bits: bool = True
     """Honours controlword bits 4 to 6 in velocity mode (2): without them the reference is zero."""
+    habits: DriveHabits = field(default_factory=DriveHabits)
+    """How it answers over SDO."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 A drive that is busy (after boot-up, or while it stores a mapping) answers late. If the question has been asked again by
 then, it answers twice, and the second answer must not count for the next question. So index and subindex of each answer
-are compared with those of the question, and before an object is asked for again the answers still owed are awaited.
+are compared with those of the question, and the answers still owed are awaited before the next one.
 canopen makes and reads the frames.
 """
 
@@ -20,6 +20,9 @@ from canopen.sdo.constants import ABORT_TIMED_OUT
 
 ATTEMPTS = 3
 """Times that a question is asked before a node counts as silent: a frame may get lost."""
+
+MARGIN = 1.5
+"""Times the last answer's that another one may need."""
 
 UPLOAD, DOWNLOAD, UPLOAD_SEGMENT = 2, 1, 3
 """Client command specifiers; the fourth, 0, is that of a download's segment."""
@@ -83,6 +86,8 @@ class PatientClient(SdoClient):
         self._owed: Counter[bytes] = Counter()
         """Answers that may still come, by what they answer."""
         self._transfer = NO_OBJECT
+        self._needed = 0.0
+        """s that the last answer needed, from the first time that its question was asked."""
         network.subscribe(self.tx_cobid, self.on_response)
 
     def close(self) -> None:
@@ -98,20 +103,24 @@ class PatientClient(SdoClient):
 
         Raises canopen's SdoAbortedError, or SdoCommunicationError if there is no answer.
         """
+        self._settle()
         request = bytes(sdo_request)
         if request[0] >> 5 in (UPLOAD, DOWNLOAD):
             self._transfer = request[1:4]
         question = self._question(request)
-        self._settle(question)
+        begin = self._clock.now()
         self.strays = []
         for _ in range(ATTEMPTS):
             self.send_request(request)  # type: ignore[no-untyped-call]
             self._owed[question] += 1
-            answer = self._await(question)
-            if answer is not None:
-                if answer[0] == ABORTED:
-                    raise canopen.SdoAbortedError(struct.unpack_from("<L", answer, 4)[0])
-                return answer
+            deadline = self._clock.now() + self._timeout
+            while (answer := self._receive(deadline)) is not None:
+                if _answers(question, answer):
+                    self._needed = self._clock.now() - begin
+                    if answer[0] == ABORTED:
+                        raise canopen.SdoAbortedError(struct.unpack_from("<L", answer, 4)[0])
+                    return answer
+                self.strays.append(answer)
         self.abort(ABORT_TIMED_OUT)  # type: ignore[no-untyped-call]
         raise canopen.SdoCommunicationError("No SDO response received")
 
@@ -121,28 +130,22 @@ class PatientClient(SdoClient):
         toggle = request[0] & TOGGLE if kind in (UPLOAD_SEGMENT, 0) else 0
         return bytes((kind, toggle)) + self._transfer
 
-    def _settle(self, question: bytes) -> None:
-        """Wait for the answers to the same question that are still owed."""
-        while self._owed[question] and self._await(question) is not None:
-            pass
-        self._owed[question] = 0
+    def _settle(self) -> None:
+        """Wait for the answers still owed. Each takes no longer than the first one did, counted from its question."""
+        while self._owed.total():
+            if self._receive(self._clock.now() + MARGIN * self._needed) is None:
+                break  # it got lost
+        self._owed.clear()
 
-    def _await(self, question: bytes) -> bytes | None:
-        """The next answer to a question; None after the timeout."""
-        deadline = self._clock.now() + self._timeout
-        while (left := deadline - self._clock.now()) > 0.0:
-            answer = self._clock.answer(self._answers, left)
-            if answer is None:
-                return None
-            if _answers(question, answer):
+    def _receive(self, deadline: float) -> bytes | None:
+        """The next answer, which is then no longer owed; None after the deadline."""
+        left = deadline - self._clock.now()
+        answer = self._clock.answer(self._answers, left) if left > 0.0 else None
+        if answer is not None:
+            question = next((each for each, count in self._owed.items() if count and _answers(each, answer)), None)
+            if question is not None:
                 self._owed[question] -= 1
-                return answer
-            late = next((each for each, count in self._owed.items() if count and _answers(each, answer)), None)
-            if late is None:
-                self.strays.append(answer)
-            else:
-                self._owed[late] -= 1
-        return None
+        return answer
 
 
 def _answers(question: bytes, answer: bytes) -> bool:

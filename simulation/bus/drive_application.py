@@ -51,6 +51,9 @@ class DriveApplication(ABC):
         self.warning = False
         """The drive warns, and goes on (statusword bit 7)."""
         self.image: dict[int, int] = {}
+        self.shown_mode = 0
+        """The mode of operation that it displays."""
+        self._mode_due = 0.0
         self._config = config
         self._keys = (CONTROLWORD, STATUSWORD, *commands, MODE, ERROR_CODE, ERROR_REGISTER)
         self.reset()
@@ -60,6 +63,7 @@ class DriveApplication(ABC):
         self.parameters = DriveParameters()
         self.image.clear()
         self.image.update(dict.fromkeys(self._keys, 0))
+        self.shown_mode = 0
 
     @property
     def state(self) -> PowerState:
@@ -73,6 +77,8 @@ class DriveApplication(ABC):
 
     def write(self, key: int, value: int, now: float) -> bool:
         """Write a value to the image; returns whether it has reset a fault."""
+        if key == MODE and value != self.image[MODE]:
+            self._mode_due = now + self._config.habits.mode_time
         self.image[key] = value
         if key != CONTROLWORD:
             return False
@@ -90,6 +96,8 @@ class DriveApplication(ABC):
 
     def update(self, now: float) -> None:
         """Advance the state machine and let the axis follow it."""
+        if now >= self._mode_due:
+            self.shown_mode = self.image[MODE]
         power = self.power
         power.stay_in_stop = self.parameters.quick_stop_option >= 5
         power.ramp_before_disable = self.parameters.disable_option == 1

@@ -29,6 +29,7 @@ from simulation.bus.object_dictionary import (
 )
 from simulation.bus.objects import ERROR_REGISTER, MAX_PDOS, MODE, Pdo
 from simulation.bus.power_state import PowerState
+from simulation.bus.sdo_server import SlowServer
 from simulation.config import DriveNode
 
 COMMUNICATION_ERROR = 0x10
@@ -65,6 +66,9 @@ class VirtualDrive:
         """Monitored node to its heartbeat timeout and the time at which it is overdue; None until it was heard."""
         self._stale = False
         self._last_sync = 0.0
+        self._booted = 0.0
+        self._answers = 0
+        self._server = SlowServer(config.habits, self._answer_sdo)
 
     @property
     def state(self) -> PowerState:
@@ -77,9 +81,11 @@ class VirtualDrive:
 
     def boot(self) -> None:
         """Switch on: defaults everywhere, boot-up message, then Pre-operational."""
-        self.servo.restart(self._clock())
+        self._booted = self._clock()
+        self.servo.restart(self._booted)
         self._node.data_store.clear()
         self._start_communication()
+        self._server.boot(self._booted)
 
     def receive(self, can_id: int, data: bytes) -> None:
         """Take one frame from the bus."""
@@ -92,6 +98,10 @@ class VirtualDrive:
     def tick(self) -> None:
         """Let time pass: states, deadlines, heartbeat, event-timed PDOs. Call it once per control period."""
         now = self._clock()
+        if self.connected:
+            self._server.tick(now)
+            if self._stale:
+                self._configure()
         for node, (timeout, due) in self._consumers.items():
             if due is not None and now >= due:
                 self._consumers[node] = (timeout, None)
@@ -120,6 +130,8 @@ class VirtualDrive:
             if value:
                 node.data_store.setdefault(0x1018, {})[subindex] = struct.pack("<I", value)
         write_default_pdos(node, config)
+        for (index, subindex), initial in config.habits.initial.items():
+            node.data_store.setdefault(index, {})[subindex] = initial
         self._consumers.clear()
         self._configure()
         node.nmt.stop_heartbeat()  # type: ignore[no-untyped-call]
@@ -181,8 +193,10 @@ class VirtualDrive:
                 self._connection_lost(LEFT_OPERATIONAL)
 
     def _on_sdo(self, data: bytes) -> None:
-        if len(data) != 8 or self.nmt_state == "STOPPED":
-            return
+        if len(data) == 8 and self.nmt_state != "STOPPED":
+            self._server.take(bytes(data), self._clock())
+
+    def _answer_sdo(self, data: bytes) -> None:
         try:
             self._network.notify(0x600 + self.config.node, bytearray(data), self._clock())
         except struct.error:  # canopen's server cannot abort a segment that belongs to no transfer
@@ -195,6 +209,9 @@ class VirtualDrive:
     def _on_write(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         if index - MAPPING in (*range(RPDO, RPDO + MAX_PDOS), *range(TPDO, TPDO + MAX_PDOS)):
             check_mapping(self._node, index, subindex, int.from_bytes(data, "little"))
+        since_boot = self._clock() - self._booted
+        if code := self.config.habits.refusal(index, subindex, int.from_bytes(data, "little"), since_boot):
+            raise SdoAbortedError(code)
         key = index << 8 | subindex
         if key in self.servo.image:
             value = int(od.decode_raw(bytes(data)))
@@ -282,5 +299,10 @@ class VirtualDrive:
             self._send(self._emergency_id, struct.pack("<HB5x", code, self.servo.image[ERROR_REGISTER] | register))
 
     def _send(self, can_id: int, data: bytes) -> None:
+        if can_id == 0x580 + self.config.node:
+            self._answers += 1
+            lost = self.config.habits.lost_answer
+            if lost and self._answers % lost == 0:
+                return
         if self.connected:
             self._emit(can_id, data)

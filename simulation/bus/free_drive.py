@@ -90,7 +90,7 @@ class FreeDrive(DriveApplication):
         if self.power.state is PowerState.OPERATION_ENABLED:
             word |= (0x800 if axis.limited else 0) | (self.MODE_BIT if self._follows else 0)
         image[STATUSWORD] = word
-        image[MODE_DISPLAY] = image[MODE]
+        image[MODE_DISPLAY] = self.shown_mode
         image[self.DEMAND] = permille(axis.demand / self._unit)
         image[POSITION_ACTUAL] = wrapped(round(axis.measured_position / self._increment))
         image[VELOCITY_ACTUAL] = round(axis.measured_rate / self._rate_unit)

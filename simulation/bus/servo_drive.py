@@ -112,7 +112,7 @@ class ServoDrive(DriveApplication):
         image, axis = self.image, self.axis
         rpm = axis.measured_rate / self._rpm_to_axis
         image[STATUSWORD] = self._statusword() | self._bits_of_mode(rpm)
-        image[MODE_DISPLAY] = image[MODE]
+        image[MODE_DISPLAY] = self.shown_mode
         image[VELOCITY_ACTUAL] = round(rpm / self._config.velocity_unit_rpm)
         image[VL_ACTUAL_VELOCITY] = round(rpm)
         image[VL_DEMAND] = round(axis.demand / self._rpm_to_axis)
