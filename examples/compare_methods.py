@@ -19,7 +19,7 @@ from typing import Any
 
 from diagnosis.report.figures.methods import save_methods
 from estimators.identify.run import identify, with_values
-from service.cli.pages.identify import print_methods
+from service.pages.identify import print_methods
 from service.virtual.run import record
 from simulation.config import SimulationConfig
 from simulation.monocab.truth import PlantTruth

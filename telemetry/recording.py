@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,7 @@ class Recording:
                     remedy="Leave these rows out.",
                 )
 
-    def between(self, begin: float = 0.0, end: float = math.inf) -> Recording:
+    def between(self, begin: float = 0.0, end: float = math.inf) -> Self:
         """The samples from `begin` to `end`, s since the first. Raises RecordingError if there are fewer than two."""
         chosen = (self.time - self.time[0] >= begin) & (self.time - self.time[0] <= end)
         if np.count_nonzero(chosen) < 2:

@@ -43,7 +43,7 @@ def write_report(
     `progress` is called with a text that says what is being done.
     """
     report = progress or (lambda text: None)
-    comparisons, why = _comparisons(diagnosis, recordings, support, report)
+    comparisons, why = before_and_after(diagnosis, recordings, support, report)
     report("drawing")
     return render(
         "report.html",
@@ -73,8 +73,11 @@ def write_report(
     )
 
 
-def _comparisons(
-    diagnosis: Diagnosis, recordings: Sequence[Recording], support: float | None, report: Progress
+def before_and_after(
+    diagnosis: Diagnosis,
+    recordings: Sequence[Recording],
+    support: float | None,
+    progress: Progress = lambda text: None,
 ) -> tuple[list[Comparison], str]:
     """The model without and with the findings against the recordings, or why that is not possible."""
     if not diagnosis.steps:
@@ -83,8 +86,8 @@ def _comparisons(
     if diagnosis.findings:
         models = {BEFORE: diagnosis.steps[0].fitted, AFTER: diagnosis.steps[-1].fitted}
     try:
-        report("comparing before and after")
-        return compare(models, recordings, support=support, progress=report), ""
+        progress("comparing before and after")
+        return compare(models, recordings, support=support, progress=progress), ""
     except EstimationError as error:
         return [], f"The models could not be run over the recordings: {error}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,9 +12,7 @@ from service.cli.compare import compare
 from service.cli.diagnose import diagnose
 from service.cli.inputs import fitting, load_recording, working
 from service.output import check_folder, live_estimates, page, print_json
-
-if TYPE_CHECKING:
-    pass
+from service.whole_file import write_whole
 
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a CAN log.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -73,23 +71,15 @@ def identify(
 
     Ctrl-C ends the estimation and shows the results up to then.
     """
-    from math import inf, tau
+    from math import inf
 
-    from estimators.identify.run import identify as run
-    from estimators.identify.subject import NOTHING_OWN
-    from service.offline.machine import is_of, support_of
+    from service.offline.identify import identified
+    from service.offline.machine import name_of
     from service.offline.models import identified_model
-    from vehicles import registry
     from vehicles.file import load
-    from vehicles.load import refuse_loads
 
     file = load(vehicle)
     subject = identified_model(model, file)
-    cad = file.parameters
-    before: tuple[dict[str, float], dict[str, float]] = ({}, {})
-    own = NOTHING_OWN
-    if is_of(subject, file):
-        before, own = (cad.values, cad.deviations), registry.of(file.vehicle.kind).identification()
     known = truths(truth or [])
     if picture is not None:
         from diagnosis.report.figures.methods import check_suffix
@@ -97,33 +87,24 @@ def identify(
         check_suffix(picture)
     check_folder(report)
     loaded = [load_recording(path, vehicle).between(begin, inf) for path in recordings]
-    refuse_loads(loaded)
     with fitting() as progress:
-        document = run(
-            loaded,
-            before[0],
-            support_of(subject, file),
-            method or (),
-            deviations=before[1],
-            model=subject,
-            own=own,
-            every=every,
-            bandwidth=None if bandwidth is None else tau * bandwidth,
-            progress=progress,
+        answer = identified(
+            loaded, file, model=subject, methods=method or (), every=every, bandwidth=bandwidth, progress=progress
         )
+    document = answer.document
     if picture is not None:
         from diagnosis.report.figures.methods import save_methods
 
         save_methods(document, picture, truth=known)
     if report is not None:
-        from service.cli.identify_report import save_report
+        from service.offline.provenance import provenance
 
         with working() as step:
-            save_report(report, document, file, subject, recordings, loaded, known, step)
+            write_whole(report, answer.page(provenance(name_of(subject, file), recordings), known, step))
     if json:
         print_json(document)
     else:
-        from service.cli.pages.identify import print_methods
+        from service.pages.identify import print_methods
 
         print_methods(document, known)
         if picture is not None:

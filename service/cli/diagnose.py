@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from service.cli.arguments import VehicleOption
 from service.output import page, print_json
 from service.whole_file import write_whole
-
-if TYPE_CHECKING:
-    from models.effect import Effect
 
 DRAWING = 0.1
 """Share of the time budget that is reserved for drawing a report."""
@@ -78,11 +75,10 @@ def diagnose(
     that motion on. If both parts lack something, a second report is written beside the first. Ctrl-C ends it.
     """
     from diagnosis.diagnose import Verdict
-    from models.effects.catalogue import CATALOGUE
     from service.cli.inputs import load_recording, share_done
-    from service.offline.diagnose import default_budget, diagnosed
+    from service.offline.diagnose import default_budget, diagnosed, report_paths
     from service.offline.machine import name_of
-    from service.offline.models import SUFFIXES, chosen_effect
+    from service.offline.models import Candidates
     from service.offline.provenance import provenance
     from vehicles.file import load
 
@@ -92,11 +88,7 @@ def diagnose(
     if budget is not None and not budget > 0.0:
         raise typer.BadParameter("has to be more than 0 s; inf means no limit.", param_hint="--budget")
     file = load(vehicle)
-    given = {name: chosen_effect(name) for name in (*(effect or ()), *(own or ()))}
-    candidates: list[str | Effect] | None = [given[name] for name in effect] if effect else None
-    if own:
-        candidates = [*(candidates if candidates is not None else CATALOGUE), *(given[name] for name in own)]
-    from_files = {each.name: Path(name) for name, each in given.items() if name.endswith(SUFFIXES)}
+    candidates = Candidates.of(effect, own or ())
     loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
     read = provenance("", recordings)  # now, since minutes later a file may have changed
     seconds = default_budget(loaded) if budget is None else budget
@@ -105,7 +97,7 @@ def diagnose(
             loaded,
             file,
             model=model,
-            candidates=candidates,
+            candidates=candidates.effects,
             most=6 if auto else 3,
             seconds=seconds,
             reserved=0.0 if report is None else DRAWING,
@@ -113,28 +105,20 @@ def diagnose(
             progress=progress,
         )
         found, origin = answer.found, replace(read, vehicle=name_of(answer.model, file))
-        pages = report_paths(report, len(answer.parts)) if report is not None else []
-        for part, path in zip(answer.parts, pages, strict=False):
-            from diagnosis.report import write_report
-
-            text = write_report(
-                part.found,
-                part.model,
-                part.recordings,
-                support=answer.support,
-                provenance=origin,
-                seconds=seconds,
-                progress=lambda text: progress(text, 1.0),
-            )
-            write_whole(path, text)
+        pages = []
+        if report is not None:
+            texts = answer.pages(origin, progress=lambda text: progress(text, 1.0))
+            pages = report_paths(report, len(texts))
+            for path, text in zip(pages, texts, strict=True):
+                write_whole(path, text)
     if auto is not None and found.revised is not None:
         from service.offline.trail import write_trail
 
-        write_trail(auto, found, answer.model, origin.hashes, from_files)
+        write_trail(auto, found, answer.model, origin.hashes, candidates.files)
     if json:
         print_json(found.to_json())
     else:
-        from service.cli.pages.diagnose import print_diagnosis
+        from service.pages.diagnose import print_diagnosis
 
         print_diagnosis(found, seconds)
         if pages:
@@ -143,8 +127,3 @@ def diagnose(
             page.print(f"\nModel: {auto}, with a record of all steps: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA:
         raise typer.Exit(1)
-
-
-def report_paths(report: Path, count: int) -> list[Path]:
-    """FILE.html, and FILE-2.html for a second part."""
-    return [report, *(report.with_stem(f"{report.stem}-{number}") for number in range(2, count + 1))]

@@ -15,28 +15,13 @@ if TYPE_CHECKING:
 
 
 def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False, database: Path | None = None) -> Recording:
-    """Load a recording of any kind. A truncated file is read as far as possible, with a message; a fall gives one, too.
-
-    Jittering time stamps of samples that are equidistant are replaced by those of the sampling clock, unless
-    `as_stamped`: for commands that replay or convert a recording. `database` is a DBC for a CAN log.
-    """
-    from estimators.data.segments import falls_at
-    from service.offline.replay import load as load_any
-    from telemetry.clock import with_regular_times
+    """The recording of service.offline.read, with its notes on stderr."""
+    from service.offline.read import read
     from vehicles.file import load
-    from vehicles.registry import nominal_model
 
-    file = load(vehicle)
-    recording = load_any(path, file, database)
-    if not as_stamped:
-        recording = with_regular_times(recording)
-    if recording.truncated:
-        people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
-    falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)
-    if falls is not None:
-        why = recording.metadata.get("end_reason", "").rstrip(".")
-        what = f"the vehicle falls {falls:.1f} s after the start{f' ({why})' if why else ''}. No fit uses the rest."
-        people.print(f"[yellow]{path}: {what}[/yellow]")
+    recording, notes = read(path, load(vehicle), as_stamped=as_stamped, database=database)
+    for note in notes:
+        people.print(f"[yellow]{path}: {note}[/yellow]")
     return recording
 
 

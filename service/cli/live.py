@@ -63,13 +63,13 @@ def demo(
     import math
 
     from diagnosis.prediction.compare import compare as compare_models
-    from service.cli.compare import estimates_beside, read_models
     from service.cli.inputs import load_recording, working
-    from service.cli.pages.compare import comparison_table
     from service.cli.talk import follow
     from service.demo.figure import save_run
     from service.demo.run import run_demo
     from service.observer.online_estimators import online_estimators
+    from service.offline.models import compared_models, estimates_beside
+    from service.pages.compare import comparison_table
     from service.virtual.vehicle import requested_disturbance
     from vehicles import registry
     from vehicles.file import load
@@ -95,7 +95,7 @@ def demo(
                     people.print(f"[yellow]{path.name} ends after {recording.duration:.1f} s: {why}[/yellow]")
                     continue
                 moving = recording.between(story.begin, math.inf)
-                models = read_models([str(estimates)], file)
+                models = compared_models([estimates], file)
                 comparisons = compare_models(models, [moving], support=file.support, progress=step)
                 save_run(recording, file, picture)
             page.print(comparison_table(comparisons, title=path.stem))
@@ -123,26 +123,14 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
     import json
     import math
 
-    from estimators.identify.run import identify
-    from service.cli.compare import estimates_beside
     from service.cli.inputs import fitting, load_recording
-    from service.cli.pages.identify import print_methods
-    from service.offline.models import identified_model
-    from vehicles import registry
+    from service.offline.identify import identified as run
+    from service.offline.models import estimates_beside
+    from service.pages.identify import print_methods
 
     recording = load_recording(path, file.path).between(begin, math.inf)
-    cad = file.parameters
     with fitting() as progress:
-        document = identify(
-            [recording],
-            cad.values,
-            file.support,
-            (),
-            deviations=cad.deviations,
-            model=identified_model(None, file),
-            own=registry.of(file.vehicle.kind).identification(),
-            progress=progress,
-        )
+        document = run([recording], file, progress=progress).document
     print_methods(document, {})
     write_whole(estimates_beside(path), json.dumps(document))
 

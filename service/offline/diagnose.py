@@ -8,7 +8,7 @@ named, reports effects that set in during the run.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,10 +16,12 @@ from pathlib import Path
 from diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
 from diagnosis.parts import diagnose_parts
 from diagnosis.prepare.actuator_samples import looked_at
+from diagnosis.report import Provenance, write_report
 from estimators.budget import Budget, OutOfTime
+from estimators.contract import EstimationError
 from models.effect import Effect
 from models.model import Model
-from service.offline.machine import is_of, support_of
+from service.offline.machine import is_of, loops_of, support_of
 from service.offline.models import identified_model
 from service.offline.next_experiment import suggest_for
 from service.offline.replay import live_diagnosis
@@ -55,12 +57,34 @@ class Diagnosed:
     seconds: float
     parts: tuple[Part, ...]
 
+    def pages(
+        self, provenance: Provenance | None = None, progress: Callable[[str], None] = lambda text: None
+    ) -> list[str]:
+        """The report of each part as HTML."""
+        return [
+            write_report(
+                part.found,
+                part.model,
+                part.recordings,
+                support=self.support,
+                provenance=provenance,
+                seconds=self.seconds,
+                progress=progress,
+            )
+            for part in self.parts
+        ]
+
+
+def report_paths(report: Path, count: int) -> list[Path]:
+    """FILE.html, and FILE-2.html for a second part."""
+    return [report, *(report.with_stem(f"{report.stem}-{number}") for number in range(2, count + 1))]
+
 
 def diagnosed(
     recordings: Sequence[Recording],
-    vehicle: VehicleFile,
+    vehicle: VehicleFile | None,
     *,
-    model: str | None = None,
+    model: str | Path | Model | None = None,
     candidates: Sequence[str | Effect] | None = None,
     most: int = 3,
     seconds: float | None = None,
@@ -68,7 +92,8 @@ def diagnosed(
     begin: float = 0.0,
     progress: Progress | None = None,
 ) -> Diagnosed:
-    """Find what the model of `vehicle`, or a `model` file, lacks to explain `recordings`.
+    """Find what the model of `vehicle`, or a `model` of one's own, lacks to explain `recordings`. Without a `vehicle`
+    they are of a machine that has only a model.
 
     The last of several recordings is held out for validation, or each third of a single one in turn. `candidates` are
     the effects to look for, the whole catalogue by default; at most `most` of them are added. `seconds` is the time
@@ -79,13 +104,16 @@ def diagnosed(
     several; unusable data give a verdict.
     """
     report = progress or (lambda text, share: None)
+    if seconds is not None and not seconds > 0.0:
+        raise EstimationError("budget", f"{seconds:g} s is no time", remedy="give more than 0 s; inf means no limit.")
     nominal = to_be_completed(model, vehicle)
-    support, of_vehicle = support_of(nominal, vehicle), is_of(nominal, vehicle)
+    support = support_of(nominal, vehicle)
+    own = vehicle if is_of(nominal, vehicle) else None
     if len(recordings) == 1:
         nominal = with_load(nominal, recordings[0])
     else:
         refuse_loads(recordings)
-    actuators = registry.models_of(vehicle).actuators if model is None else ()
+    actuators = registry.models_of(vehicle).actuators if vehicle is not None and model is None else ()
     seconds = default_budget(recordings) if seconds is None else seconds
     whole = Budget.of(None if math.isinf(seconds) else seconds * (1.0 - reserved))
     way = partial(diagnose_parts, nominal, actuators) if actuators else partial(diagnose, nominal)
@@ -95,22 +123,22 @@ def diagnosed(
         candidates=candidates,
         most=most,
         budget=None if math.isinf(seconds) else DIAGNOSIS * whole.left,
-        loops=[registry.recorded_loop(vehicle, each) for each in recordings] if of_vehicle else (),
+        loops=loops_of(nominal, vehicle, recordings),
         progress=progress,
     )
     parts = _parts(found, nominal, recordings, support)
     # Experiments are predicted for the vehicle, not for its actuators.
-    if parts[0].model is nominal and of_vehicle:
+    if parts[0].model is nominal and own is not None:
         report("choosing the next experiment", 1.0)
         try:
-            suggested = suggest_for(vehicle, parts[0].found, nominal, recordings, budget=whole)
+            suggested = suggest_for(own, parts[0].found, nominal, recordings, budget=whole)
             found = replace(found, suggested_experiment=suggested)
         except OutOfTime:
             found = replace(found, untried=(*found.untried, "the choice of the next experiment"))
-    if found.verdict is Verdict.UNKNOWN and not found.findings and model is None:
+    if found.verdict is Verdict.UNKNOWN and not found.findings and own is not None and model is None:
         report("searching for effects that set in during the run", 1.0)
         try:
-            found = replace(found, reason=found.reason + _sets_in(recordings, vehicle, begin, whole))
+            found = replace(found, reason=found.reason + _sets_in(recordings, own, begin, whole))
         except OutOfTime:
             found = replace(found, untried=(*found.untried, "the search for effects that set in during the run"))
     next_one, untried = found.suggested_experiment, found.untried
@@ -119,11 +147,11 @@ def diagnosed(
     return Diagnosed(found, nominal, support, seconds, completed)
 
 
-def to_be_completed(name: str | None, vehicle: VehicleFile) -> Model:
-    """The model `name`, or the vehicle's own without the effects that identification assumes: the diagnosis has to find
-    these."""
-    model = identified_model(name, vehicle)
-    for attached in model.effects if name is None else ():
+def to_be_completed(given: str | Path | Model | None, vehicle: VehicleFile | None) -> Model:
+    """The `given` model, or the vehicle's own without the effects that identification assumes: the diagnosis has to
+    find these."""
+    model = identified_model(given, vehicle)
+    for attached in model.effects if given is None else ():
         model = model.remove(attached.name)
     return model
 

@@ -6,14 +6,46 @@ supports, CAD values, controller, experiments) must not be applied to it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 from estimators.contract import EstimationError
 from models.model import Model
-from vehicles.registry import nominal_model
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording
+from vehicles.file import load
+from vehicles.registry import names, nominal_model, recorded_loop
 from vehicles.sections import VehicleFile
 
+if TYPE_CHECKING:
+    from diagnosis.prediction.closed_loop_error import Loop
 
-def is_of(model: Model, vehicle: VehicleFile) -> bool:
+
+def vehicle_of(recordings: Sequence[Recording]) -> VehicleFile | None:
+    """The shipped vehicle that says in the metadata of `recordings` that it recorded them; None if none is named there.
+
+    Raises RecordingError if it is a vehicle with a file of the user's own, or if they are of several vehicles.
+    """
+    found = {(each.metadata.get("kind", ""), each.metadata.get("vehicle", "")): each.source for each in recordings}
+    if len(found) > 1:
+        (_, first), (_, second), *_ = found
+        what = f"is of {second or 'no vehicle'}, and {next(iter(found.values()))} of {first or 'no vehicle'}"
+        raise RecordingError(list(found.values())[1], "", what, remedy="Use recordings of one vehicle together.")
+    for (kind, name), source in found.items():
+        if kind not in names():
+            return None
+        file = load(kind)
+        if name != file.vehicle.id:
+            what = f"is of the vehicle {name}, which has a file of its own"
+            raise RecordingError(source, "", what, remedy="Give this vehicle file, too.")
+        return file
+    return None
+
+
+def is_of(model: Model, vehicle: VehicleFile | None) -> bool:
     """Whether `model` is one of this vehicle, that is, has the same balanced coordinate as the vehicle's own model."""
+    if vehicle is None:
+        return False
     try:
         own = nominal_model(vehicle.vehicle.kind)
     except EstimationError:
@@ -21,11 +53,18 @@ def is_of(model: Model, vehicle: VehicleFile) -> bool:
     return [joint.coordinate for joint in model.joints[:1]] == [joint.coordinate for joint in own.joints[:1]]
 
 
-def support_of(model: Model, vehicle: VehicleFile) -> float | None:
+def support_of(model: Model, vehicle: VehicleFile | None) -> float | None:
     """The angle of the supports, rad; None for a machine that is not the vehicle."""
-    return vehicle.support if is_of(model, vehicle) else None
+    return vehicle.support if vehicle is not None and is_of(model, vehicle) else None
 
 
-def name_of(model: Model, vehicle: VehicleFile) -> str:
+def name_of(model: Model, vehicle: VehicleFile | None) -> str:
     """The subject of a report: the vehicle's id, or the model's name."""
-    return vehicle.vehicle.id if is_of(model, vehicle) else model.name
+    return vehicle.vehicle.id if vehicle is not None and is_of(model, vehicle) else model.name
+
+
+def loops_of(model: Model, vehicle: VehicleFile | None, recordings: Sequence[Recording]) -> list[Loop | str]:
+    """What closed the loop of each recording, or why it is not known; empty for a machine that is not the vehicle."""
+    if vehicle is None or not is_of(model, vehicle):
+        return []
+    return [recorded_loop(vehicle, each) for each in recordings]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -11,10 +10,9 @@ from pathlib import Path
 
 from diagnosis.diagnose import Diagnosis
 from models.file.document import ModelFile
-from models.file.model_file import write
 from models.model import Model
+from service.offline.model_files import revised, save
 from service.whole_file import write_whole
-from vehicles.load import without_load
 
 
 def write_trail(
@@ -31,24 +29,8 @@ def write_trail(
     for part in found.parts[1:]:
         if part.findings and part.steps:
             write_trail(target.with_name(f"{target.stem}-actuators.toml"), part, part.steps[0].model, hashes, own)
-    in_it = {each.name for each in found.revised.effects}
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    history = tuple(
-        {
-            "action": "add",
-            "effect": finding.effect,
-            "date": date,
-            "recording": list(hashes),
-            "sha256": list(hashes.values()),
-            "tied_with": list(finding.tied_with),
-            "probability": float(f"{finding.probability:.4g}"),
-        }
-        for finding in found.findings
-        if finding.effect in in_it
-    )
-    model = replace(without_load(found.revised), name=target.stem)
-    there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}
-    files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
-    write(ModelFile(model=model, history=history, effect_files=files), target)
+    file = revised(ModelFile(nominal), found, hashes, own, date)
+    save(replace(file, model=replace(file.model, name=target.stem)), target)
     document = {"date": date, "model": nominal.name, "recordings": dict(hashes), **found.to_json()}
     write_whole(target.with_suffix(".trail.json"), json.dumps(document, indent=2) + "\n")

@@ -21,7 +21,7 @@ from estimators.speed_loop import Loop as Tuning
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models import library
 from models.model import Model
-from service.cli.pages.compare import closed_loop_lines
+from service.pages.compare import closed_loop_lines
 from service.virtual import run as virtual_run
 from telemetry.channels import ChannelTable
 from telemetry.clock import with_regular_times

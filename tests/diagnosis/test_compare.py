@@ -20,8 +20,8 @@ from models import library
 from models.file.model_file import load_model
 from models.model import Model
 from models.parts import ModelError
-from service.cli.compare import read_models
-from service.cli.pages.compare import comparison_table
+from service.offline.models import compared_models
+from service.pages.compare import comparison_table
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
@@ -189,7 +189,7 @@ class TestModelsOfTheCommandLine:
         return str(path)
 
     def models(self, *options: str) -> dict[str, Model]:
-        return read_models(list(options), load("monocab"))
+        return compared_models(list(options), load("monocab"))
 
     def test_default_is_the_model_with_cad_values(self) -> None:
         models = self.models()

@@ -25,7 +25,7 @@ from models.file.document import ModelFile
 from models.file.model_file import write
 from models.parts import ModelError
 from service.cli import app
-from service.cli.pages.identify import print_methods
+from service.pages.identify import print_methods
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import save
@@ -320,11 +320,8 @@ def command(*words: str, code: int = 0) -> str:
 
 
 @pytest.mark.parametrize("width", [80, 100])
-def test_table_fits_the_terminal(
-    document: dict[str, Any], width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("service.cli.pages.identify.page", Console(width=width, highlight=False))
-    print_methods(document, {"inertia": 1650.0})
+def test_table_fits_the_terminal(document: dict[str, Any], width: int, capsys: pytest.CaptureFixture[str]) -> None:
+    print_methods(document, {"inertia": 1650.0}, Console(width=width, highlight=False))
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line.rstrip()) for line in lines) <= width
     rows = [line for line in lines if line.startswith("prediction_error ")]

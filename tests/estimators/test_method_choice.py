@@ -18,7 +18,7 @@ from estimators.identify.common_fit import HORIZON, CommonPredictor
 from estimators.identify.run import identify
 from estimators.identify.table import METHODS
 from models.model import Model
-from service.cli.pages.identify import print_methods
+from service.pages.identify import print_methods
 from telemetry.recording import Recording
 
 SIMULATED = ("output_error", "output_error_simplex", "recursive_output_error")
@@ -148,7 +148,7 @@ class TestUnstablePlant:
             assert document["methods"][name]["pole"] == pytest.approx(5.0, rel=0.1)
 
     def test_output_error_alone_is_not_recommended(
-        self, unstable: Recording, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+        self, unstable: Recording, capsys: pytest.CaptureFixture[str]
     ) -> None:
         alone = identify([unstable], {}, None, ["output_error"], model=unstable_plant.model())
         assert alone["best"] == ""
@@ -157,8 +157,7 @@ class TestUnstablePlant:
         assert alone["methods"]["output_error"]["not_chosen"].startswith("not sound here")
         from rich.console import Console
 
-        monkeypatch.setattr("service.cli.pages.identify.page", Console(width=100, highlight=False))
-        print_methods(alone, {})
+        print_methods(alone, {}, Console(width=100, highlight=False))
         shown = " ".join(capsys.readouterr().out.split())
         assert "Recommended method: none" in shown
         assert "run prediction_error." in shown

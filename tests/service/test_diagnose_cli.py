@@ -17,8 +17,8 @@ from written_report import of_little_matter
 import diagnosis.parts
 from models.file.model_file import read
 from service.cli import app
-from service.cli.pages.diagnose import print_diagnosis
 from service.offline.diagnose import default_budget
+from service.pages.diagnose import print_diagnosis
 from service.virtual.run import record
 from telemetry.storage import save
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from diagnosis.lack_of_fit.missing_force import MissingForce
 from diagnosis.lack_of_fit.where_it_fails import Energy
 from diagnosis.prediction.closed_loop_error import ClosedLoop
 from diagnosis.prediction.compare import Comparison
+from diagnosis.report.figures.drawing import Picture
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def save_comparison(comparisons: Sequence[Comparison], path: Path) -> None:
     comparison_figure(comparisons).savefig(path, dpi=130)
 
 
-def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
+def comparison_figure(comparisons: Sequence[Comparison]) -> Picture:
     """Overlay and errors by horizon; the closed loop if there is one; missing force by time; energies by time and
     frequency; missing force by every coordinate."""
     joints = [force.joint for force in comparisons[0].views.forces]
@@ -43,7 +43,7 @@ def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
     loop = next((each.closed_loop for each in comparisons if each.closed_loop.measured), None)
     above = 1 if loop is None else 2
     rows = above + 1 + len(joints) + -(-len(places) // COLUMNS)
-    figure = Figure(figsize=(12.5, 2.9 * rows), layout="constrained")
+    figure = Picture(figsize=(12.5, 2.9 * rows), layout="constrained")
     grid = figure.add_gridspec(rows, 2 * COLUMNS)
     colours = mpl.color_sequences["tab10"]
     _overlay(figure.add_subplot(grid[0, :4]), comparisons, colours)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from io import StringIO
+from io import BytesIO, StringIO
 from itertools import cycle, islice
 from typing import Any
 
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 WIDTH = 7.2
 """Inches, about the width of A4 between its margins: text has the stated size on paper."""
+NOTEBOOK_DPI = 80
 MOST_POINTS = 1500
 """Points of a curve: more than paper or a screen of that width shows."""
 STYLE: Any = {
@@ -48,6 +49,15 @@ STYLE: Any = {
     "grid.linewidth": 0.5,
 }
 MEASURED, FLOOR = "0.72", "0.35"
+
+
+class Picture(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = BytesIO()
+        self.savefig(stream, format="png", dpi=NOTEBOOK_DPI)
+        return stream.getvalue()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from diagnosis.report.figures.drawing import Picture
 from estimators.contract import EstimationError
 from estimators.identify.table import Domain
 
@@ -62,7 +62,7 @@ def save_methods(document: Mapping[str, Any], path: Path, *, truth: Mapping[str,
     method_figure(document, truth=truth).savefig(path, dpi=150)
 
 
-def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | None = None) -> Figure:
+def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | None = None) -> Picture:
     """The figure of a document of `estimators.identify.run`: a panel for each parameter that has a prior value.
 
     `truth`: true values by name. Raises EstimationError if no method estimates such a parameter.
@@ -72,7 +72,7 @@ def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | N
     panels = [name for name in document["before"] if any(_columns(methods, name))]
     if not panels:
         raise EstimationError("picture", "there is nothing to draw", remedy="identify with a method of the vehicle.")
-    figure = Figure(figsize=(max(6.0, 2.2 + 0.95 * len(methods)), 1.2 + 3.0 * len(panels)), layout="constrained")
+    figure = Picture(figsize=(max(6.0, 2.2 + 0.95 * len(methods)), 1.2 + 3.0 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for name, panel in zip(panels, axes, strict=True):
         columns = _columns(methods, name)
@@ -187,7 +187,7 @@ def _name_groups(axes: Axes, columns: Sequence[Column]) -> None:
                 transform=axes.get_xaxis_transform(), fontsize=10, fontweight="bold",
             )  # fmt: skip
     figure = axes.figure
-    assert isinstance(figure, Figure)
+    assert isinstance(figure, Picture)
     for panel in figure.axes:
         for place, (column, following) in enumerate(pairwise(columns), start=1):
             if column.domain is not following.domain:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -74,10 +74,7 @@ def add(
     and standard deviations are written to the file, and the change of the error to its history. Without recordings the
     amplitudes of the effect are zero, at which it changes nothing.
     """
-    import os
-
-    from models.file.model_file import write
-    from models.file.own_effects import load_effect
+    from service.offline.model_files import save, with_effect
 
     if not recording and (held_out or picture):
         raise typer.BadParameter("a --recording is required, to fit the model to.", param_hint="--held-out, --picture")
@@ -86,29 +83,22 @@ def add(
 
         check_suffix(picture)
     before, target = _start(name, vehicle), _target(name, output)
-    files = {own: _from(target, _found(name, path)) for own, path in before.effect_files.items()}
-    own_file = effect.endswith((".toml", ".py"))
-    own_sha256 = {"effect_sha256": _sha256(effect)} if own_file else {}
-    wanted: Effect | str = load_effect(Path(effect)) if own_file else effect
-    name_there = before.model.add(wanted, at).effects[-1].name
-    entry: dict[str, Any] = {"action": "add", "effect": name_there, "date": _now(), **own_sha256}
+    after = with_effect(before, effect, at)
     found: Revision | None = None
     if recording:
         from service.cli.models.history_entry import fit_entry, rounded
 
-        found = _revise(before, wanted, at, recording, held_out or [], vehicle)
+        wanted = after.model.effects[-1]
+        found = _revise(before, wanted.effect, wanted.at, recording, held_out or [], vehicle)
         changed = rounded(found)
-        entry |= fit_entry(found, before.model, changed, recording, held_out or [])
-    else:
-        changed = before.model.add(wanted, at)
-    added = changed.effects[-1]
-    if own_file:
-        files[added.name] = os.path.relpath(effect, target.resolve().parent)
+        entry = {**after.history[-1], **fit_entry(found, before.model, changed, recording, held_out or [])}
+        after = replace(after, model=changed, history=(*before.history, entry))
+    added = after.model.effects[-1]
     if found is not None and picture is not None:
         from diagnosis.report.figures.revision import save_revision
 
         save_revision(found, picture)
-    write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), target)
+    save(after, target)
     if json:
         document = {
             "file": str(target),
@@ -122,7 +112,7 @@ def add(
             document["repair"] = {**found.to_json(), "words": in_words(found)}
         print_json(document)
         return
-    from service.cli.pages.model import print_parameters
+    from service.pages.model import print_parameters
 
     page.print(f"{target}: {added.name} added at {added.at}: {added.effect.equation}", markup=False, soft_wrap=True)
     if found is None:
@@ -184,19 +174,10 @@ def drop_test(
 
 def _start(name: str, vehicle: str | None) -> ModelFile:
     """The model to add to: a model file, or a shipped model with the CAD values of the vehicle."""
-    from models.file.document import ModelFile
-    from models.file.model_file import load_model, read
+    from service.offline.model_files import started
+    from vehicles.file import load
 
-    if name.endswith(".toml"):
-        return read(name)
-    model = load_model(name)
-    if vehicle is not None:
-        from estimators.identify.run import with_values
-        from vehicles.file import load
-
-        parameters = load(vehicle).parameters
-        model = with_values(model, parameters.values, parameters.deviations)
-    return ModelFile(model)
+    return started(name, None if vehicle is None or name.endswith(".toml") else load(vehicle))
 
 
 def _target(name: str, output: Path | None) -> Path:
@@ -212,16 +193,6 @@ def _target(name: str, output: Path | None) -> Path:
     if output.exists() and not (name.endswith(".toml") and output.samefile(name)):
         raise ModelError(str(output), "already exists", remedy="choose another name, or remove it first.")
     return output
-
-
-def _found(name: str, path: str) -> Path:
-    return Path(name).resolve().parent / path
-
-
-def _from(target: Path, path: Path) -> str:
-    import os
-
-    return os.path.relpath(path, target.resolve().parent)
 
 
 def _revise(
@@ -267,16 +238,3 @@ def _load(path: Path, vehicle: str | None) -> Recording:
 
     found = with_regular_times(load(path)) if vehicle is None else load_recording(path, vehicle)
     return replace(found, source=path.name)
-
-
-def _sha256(path: str) -> str:
-    """Of the file of an effect; the file's own error is reported when it is read."""
-    from models.file.allowed_code import sha256
-
-    return sha256(Path(path).read_bytes()) if Path(path).is_file() else ""
-
-
-def _now() -> Any:
-    from datetime import UTC, datetime
-
-    return datetime.now(UTC).replace(microsecond=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -63,7 +63,7 @@ def show(
     elif format is Format.LATEX:
         typer.echo(rendering.latex(shown))
     else:
-        from service.cli.pages.model import print_model
+        from service.pages.model import print_model
 
         print_model(shown, file.history)
 
@@ -139,13 +139,14 @@ def new(
     from models.file.document import ModelFile
     from models.file.model_file import parse, write
     from models.parts import ModelError
+    from service.offline.model_files import now
 
     if file.suffix != ".toml":
         raise ModelError(str(file), "is not a name of a model file", remedy="use the suffix .toml.")
     if file.exists():
         raise ModelError(str(file), "already exists", remedy="choose another name, or remove it first.")
     start = library.get(base)
-    entry = {"action": "new", "date": _now()}
+    entry = {"action": "new", "date": now()}
     if vehicle is not None:
         from vehicles.file import load
 
@@ -167,16 +168,11 @@ def remove(
     json: JsonOption = False,
 ) -> None:
     """Remove an effect from a model file, with a history entry."""
-    from dataclasses import replace
+    from service.offline.model_files import save, started, without_effect
 
-    from models.file.model_file import read, write
-
-    before = read(file)
-    changed = before.model.remove(effect)
-    files = {name: path for name, path in before.effect_files.items() if name != effect}
-    entry = {"action": "remove", "effect": effect, "date": _now()}
-    write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), file)
-    left = [attached.name for attached in changed.effects]
+    after = without_effect(started(file), effect)
+    save(after, file)
+    left = [attached.name for attached in after.model.effects]
     if json:
         print_json({"file": str(file), "removed": effect, "effects": left})
         return
@@ -199,12 +195,6 @@ def allow(
         print_json({"file": str(file), "sha256": digest})
         return
     page.print(f"{file} may run from now on. SHA-256: {digest}", markup=False, soft_wrap=True)
-
-
-def _now() -> Any:
-    from datetime import UTC, datetime
-
-    return datetime.now(UTC).replace(microsecond=0)
 
 
 def _unit(template: str) -> str:

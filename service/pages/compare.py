@@ -1,4 +1,4 @@
-"""The output of `upright compare` as text: models side by side, and where each fails."""
+"""A comparison as text: models side by side, and where each fails."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -17,16 +18,16 @@ if TYPE_CHECKING:
     from diagnosis.prediction.compare import Comparison
 
 
-def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:
+def print_comparisons(comparisons: Sequence[Comparison], title: str, to: Console = page) -> None:
     """Print the table of one recording, and below it where each model fails."""
-    page.print(comparison_table(comparisons, title))
+    to.print(comparison_table(comparisons, title))
     for line in (*disturbance_lines(comparisons), *closed_loop_lines(comparisons)):
-        page.print(Padding(Text(line), (0, 0, 0, 2)))
+        to.print(Padding(Text(line), (0, 0, 0, 2)))
     for each in comparisons:
         if each.summary:
-            page.print(Padding(Text(f"{each.name}:", style="bold"), (0, 0, 0, 2)))
+            to.print(Padding(Text(f"{each.name}:", style="bold"), (0, 0, 0, 2)))
         for sentence in each.summary:
-            page.print(Padding(Text(sentence), (0, 0, 0, 4)))
+            to.print(Padding(Text(sentence), (0, 0, 0, 4)))
 
 
 def disturbance_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:

@@ -1,9 +1,10 @@
-"""The output of `upright diagnose` as text."""
+"""A diagnosis as text."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
@@ -18,40 +19,40 @@ COLOURS = {"adequate": "green", "missing_effect": "yellow", "unknown": "red", "i
 BAR = 20
 
 
-def print_diagnosis(found: Diagnosis, seconds: float) -> None:
+def print_diagnosis(found: Diagnosis, seconds: float, to: Console = page) -> None:
     """Print verdict, findings and minimum detectable effects of a diagnosis that was limited to `seconds`."""
     head, matter = headline(found), mattering(found)
-    page.print(f"[bold {COLOURS[head.kind]}]{head.word.lower()}[/]: {escape(head.text)}.")
+    to.print(f"[bold {COLOURS[head.kind]}]{head.word.lower()}[/]: {escape(head.text)}.")
     if not found.findings or found.verdict is Verdict.UNKNOWN:
-        page.print(Padding(escape(found.reason), (0, 2)))
+        to.print(Padding(escape(found.reason), (0, 2)))
     if found.innovation_ratio_before is not None and found.innovation_ratio_after is not None:
-        page.print(
+        to.print(
             f"Normalised innovation squared (1 for a right model): {found.innovation_ratio_before:.4g} before, "
             f"{found.innovation_ratio_after:.4g} after"
         )
     if shaking := disturbance_sentences(found):
-        page.print(escape(shaking))
+        to.print(escape(shaking))
     if left := untried_sentence(found, seconds):
-        page.print(f"[yellow]{escape(left)}[/]")
+        to.print(f"[yellow]{escape(left)}[/]")
     for number, finding in enumerate(matter, 1):
-        _print_finding(number, finding)
+        _print_finding(number, finding, to)
     for number, finding in enumerate(negligible(found), len(matter) + 1):
         if number == len(matter) + 1:
-            page.print("\n[bold]Negligible: significant, but less than 1 % of the error[/]")
-        _print_finding(number, finding)
-    page.print(f"\nNext: {escape(head.next_step)}")
+            to.print("\n[bold]Negligible: significant, but less than 1 % of the error[/]")
+        _print_finding(number, finding, to)
+    to.print(f"\nNext: {escape(head.next_step)}")
     if found.minimum_detectable and found.revised is not None:
-        page.print()
-        page.print(_detectable(found))
+        to.print()
+        to.print(_detectable(found))
     for why, names in _reasons(found.left_out or {}).items():
-        page.print(f"[dim]Not tested: {', '.join(names)}: {escape(why)}[/]")
+        to.print(f"[dim]Not tested: {', '.join(names)}: {escape(why)}[/]")
 
 
-def _print_finding(number: int, finding: Finding) -> None:
-    page.print()
-    page.print(f"[bold]{number}. {finding.effect}[/] ({finding.family})")
-    page.print(_ranking(finding))
-    page.print(Padding(escape(finding.explanation), (0, 2)))
+def _print_finding(number: int, finding: Finding, to: Console) -> None:
+    to.print()
+    to.print(f"[bold]{number}. {finding.effect}[/] ({finding.family})")
+    to.print(_ranking(finding))
+    to.print(Padding(escape(finding.explanation), (0, 2)))
 
 
 def _reasons(left_out: Mapping[str, str]) -> dict[str, list[str]]:

@@ -1,4 +1,4 @@
-"""The output of `upright model` as text: tables of a model's parts, and its equations."""
+"""A model as text: tables of a model's parts, and its equations."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import isinf
 from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -19,27 +20,29 @@ WIDE = 110
 _BETWEEN = {Hold.ZERO_ORDER: "held", Hold.CUBIC: "cubic"}
 
 
-def print_model(shown: Model, history: Iterable[Mapping[str, Any]]) -> None:
+def print_model(shown: Model, history: Iterable[Mapping[str, Any]], to: Console = page) -> None:
     """Print everything about `shown`, and its history."""
-    page.print(f"{shown.name}: {shown.title}", markup=False, style="bold", soft_wrap=True)
+    to.print(f"{shown.name}: {shown.title}", markup=False, style="bold", soft_wrap=True)
     if shown.source:
-        page.print(f"Source: {shown.source}", markup=False, soft_wrap=True)
-    _print("states", ("unit", "starts at", "meaning"), [(s.name, s.unit, s.initial, s.meaning) for s in shown.states])
+        to.print(f"Source: {shown.source}", markup=False, soft_wrap=True)
+    _print(
+        "states", ("unit", "starts at", "meaning"), [(s.name, s.unit, s.initial, s.meaning) for s in shown.states], to
+    )
     inputs = [(each.name, each.unit, _BETWEEN[each.hold], each.meaning) for each in shown.inputs]
-    _print("inputs", ("unit", "between samples", "meaning"), inputs)
+    _print("inputs", ("unit", "between samples", "meaning"), inputs, to)
     outputs = [(each.name, each.unit, f"{each.noise:.2g}", each.meaning) for each in shown.outputs]
-    _print("outputs", ("unit", "noise", "meaning"), outputs)
-    page.print("\nequations", style="bold")
-    page.print(text(shown), markup=False, soft_wrap=True)
-    page.print()
-    print_parameters(shown.parameters)
+    _print("outputs", ("unit", "noise", "meaning"), outputs, to)
+    to.print("\nequations", style="bold")
+    to.print(text(shown), markup=False, soft_wrap=True)
+    to.print()
+    print_parameters(shown.parameters, to)
     effects = [(each.name, each.at, each.effect.family.value, each.effect.equation) for each in shown.effects]
-    _print("effects", ("at", "family", "equation"), effects)
+    _print("effects", ("at", "family", "equation"), effects, to)
     entries = [(str(each.get("date", "")), each["action"], each.get("effect", ""), _rest(each)) for each in history]
-    _print("history", ("action", "effect", ""), entries)
+    _print("history", ("action", "effect", ""), entries, to)
 
 
-def print_parameters(parameters: Sequence[Parameter]) -> None:
+def print_parameters(parameters: Sequence[Parameter], to: Console = page) -> None:
     """Print parameters with bounds, whether they are estimated, and their meaning, beside or below."""
     rows = [
         (
@@ -53,12 +56,12 @@ def print_parameters(parameters: Sequence[Parameter]) -> None:
         for each in parameters
     ]
     headings, meanings = ("value", "±", "unit", "bounds", ""), [each.meaning for each in parameters]
-    if page.width >= WIDE:
+    if to.width >= WIDE:
         rows_with_meaning = [(*row, meaning) for row, meaning in zip(rows, meanings, strict=True)]
-        page.print(_table("parameters", (*headings, "meaning"), rows_with_meaning))
+        to.print(_table("parameters", (*headings, "meaning"), rows_with_meaning))
     else:
-        page.print(_table("parameters", headings, rows))
-        _print("parameters", ("meaning",), [(e.name, e.meaning) for e in parameters if e.meaning])
+        to.print(_table("parameters", headings, rows))
+        _print("parameters", ("meaning",), [(e.name, e.meaning) for e in parameters if e.meaning], to)
 
 
 def _bounds(parameter: Parameter) -> str:
@@ -89,10 +92,10 @@ def _words(value: Any) -> str:
             return str(value)
 
 
-def _print(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+def _print(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]], to: Console) -> None:
     if rows:
-        page.print()
-        page.print(_table(title, headings, rows))
+        to.print()
+        to.print(_table(title, headings, rows))
 
 
 def _table(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:

@@ -1,0 +1,31 @@
+"""Compare models with recordings, recording by recording: what `upright compare` and `upright.compare` do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from diagnosis.prediction.compare import Comparison, compare
+from models.model import Model
+from service.offline.machine import loops_of, support_of
+from telemetry.recording import Recording
+from vehicles.load import with_load
+from vehicles.sections import VehicleFile
+
+
+def compared(
+    recordings: Sequence[Recording],
+    models: Mapping[str, Model],
+    vehicle: VehicleFile | None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Iterator[list[Comparison]]:
+    """For each recording in turn, all `models`, by name. The first model decides whether they are of the `vehicle`,
+    whose supports, load and recorded loop are then taken into account. `progress` gets the current step.
+
+    Raises DataError, ModelError and EstimationError.
+    """
+    subject = next(iter(models.values()))
+    support = support_of(subject, vehicle)
+    for recording in recordings:
+        loaded = {name: with_load(each, recording) for name, each in models.items()}
+        loops = loops_of(subject, vehicle, [recording])
+        yield compare(loaded, [recording], support=support, loops=loops, progress=progress)

@@ -1,0 +1,129 @@
+"""Recordings: read from a file, or made of a table."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from upright.layers.recordings import (
+    Recorded,
+    RecordingError,
+    VehicleFile,
+    describe,
+    instants,
+    load_vehicle,
+    read,
+    vehicle_of,
+    with_age,
+)
+from upright.shown import as_frame
+
+if TYPE_CHECKING:
+    import pandas
+
+    from upright.layers.results import Picture
+
+
+class RecordingWarning(UserWarning):
+    """A recording can be used, but has something unusual: it was cut off, or the vehicle falls in it."""
+
+
+class Recording(Recorded):
+    """Channels over time, in SI units.
+
+    `recording["angle"]` is a channel, float64 (n,), NaN where it is not known; `time` (n,) is in s since the first
+    sample, `rate` in Hz, `duration` in s; `channels` have names and units, `metadata` is what the recorder knew.
+    `between(begin, end)` is a part of it, s.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        *,
+        units: Mapping[str, str] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        source: str = "table",
+    ) -> Recording:
+        """From a table of pandas or polars, or a mapping of names to arrays: `time` in s, and channels in SI units.
+
+        `units` of channels, by name. `source` is its name in messages.
+        Raises RecordingError if there is no `time`, it does not rise, or columns differ in length.
+        """
+        columns = {str(name): np.asarray(frame[name]) for name in getattr(frame, "columns", frame)}
+        if "time" not in columns:
+            what = f"is missing; there are {', '.join(columns)}"
+            raise RecordingError(source, "time", what, remedy="Name the column of seconds `time`.")
+        try:
+            values = {name: column.astype(np.float64) for name, column in columns.items()}
+        except (TypeError, ValueError) as error:
+            remedy = "Leave out columns that are not numbers."
+            raise RecordingError(source, "", f"has a column that is not of numbers ({error})", remedy=remedy) from error
+        time = values.pop("time")
+        return cls(
+            channels=describe({name: (units or {}).get(name, "") for name in values}),
+            timestamp_ns=instants(time, 1e9, source),
+            values=values,
+            metadata=metadata or {},
+            source=source,
+        )
+
+    @classmethod
+    def of(cls, recorded: Recorded) -> Recording:
+        """The same recording, as this class."""
+        return cls(**{field.name: getattr(recorded, field.name) for field in fields(recorded)})
+
+    def to_frame(self) -> pandas.DataFrame:
+        """`time` (s) and the channels as a table of pandas. Raises MissingPackage."""
+        names = self.channels.names
+        return as_frame(("time", *names), list(zip(self.time, *(self[name] for name in names), strict=True)))
+
+    def plot(self, *channels: str) -> Picture:
+        """The channels over time, by default those that change, as a figure of matplotlib."""
+        from upright.layers.results import recording_figure
+
+        return recording_figure(self, channels)
+
+    def __str__(self) -> str:
+        what = ", ".join(f"{each.name} ({each.unit})" if each.unit else each.name for each in self.channels)
+        return f"{self.source}: {self.duration:.4g} s, {len(self)} samples at {self.rate:.4g} Hz; {what}"
+
+    __repr__ = __str__
+
+
+def load(
+    path: str | PathLike[str],
+    *,
+    vehicle: str | PathLike[str] | None = None,
+    begin: float = 0.0,
+    end: float = math.inf,
+) -> Recording:
+    """Read a recording: .arrow, .parquet, .csv, or the raw CAN .log of a `vehicle`.
+
+    `vehicle`: a shipped one or a vehicle file. Needed for a .log; a table of that vehicle from elsewhere is completed
+    by what is usual. `begin`, `end`: the part that is used, s. Time stamps that jitter although the samples do not are
+    replaced by those of the sampling clock. What is unusual is a RecordingWarning.
+    Raises RecordingError, which names the file, the channel or line, and the remedy.
+    """
+    found, notes = read(Path(path), None if vehicle is None else load_vehicle(str(vehicle)))
+    for note in notes:
+        warnings.warn(f"{path}: {note}", RecordingWarning, stacklevel=2)
+    return Recording.of(found).between(begin, end)
+
+
+def gathered(
+    recordings: Recorded | Sequence[Recorded], vehicle: str | PathLike[str] | None
+) -> tuple[list[Recorded], VehicleFile | None]:
+    """The recordings as a list, and the vehicle that made them: the given one, or the one that they name."""
+    found = [recordings] if isinstance(recordings, Recorded) else list(recordings)
+    file = vehicle_of(found) if vehicle is None else load_vehicle(str(vehicle))
+    return ([with_age(each, file) for each in found] if file else found), file

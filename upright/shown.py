@@ -1,0 +1,60 @@
+"""Results for people: as text, in a notebook, and as a table of pandas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from io import StringIO
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from upright.layers.effects import UprightError
+
+if TYPE_CHECKING:
+    import pandas
+
+NOTEBOOK_WIDTH = 110
+"""Characters of a line in a notebook."""
+BLOCK = '<pre style="white-space:pre;overflow-x:auto;line-height:1.25">{code}</pre>'
+
+Print = Callable[[Console], None]
+
+
+class MissingPackage(UprightError):
+    """An optional `package` that a function needs is not installed."""
+
+    def __init__(self, what: str, package: str) -> None:
+        super().__init__(
+            f"{what} needs {package}, which is not installed.", remedy=f"pip install 'upright[{package}]'."
+        )
+        self.package = package
+
+
+def as_text(write: Print) -> str:
+    """What `write` prints, without colours, as wide as the terminal."""
+    text = StringIO()
+    write(Console(file=text, width=get_terminal_size((100, 24)).columns, highlight=False))
+    return text.getvalue().rstrip("\n")
+
+
+def as_html(write: Print) -> str:
+    """What `write` prints, for a notebook."""
+    console = Console(file=StringIO(), record=True, width=NOTEBOOK_WIDTH, highlight=False, color_system="truecolor")
+    write(console)
+    return console.export_html(inline_styles=True, code_format=BLOCK)
+
+
+def as_frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pandas.DataFrame:
+    """The rows as a table of pandas. Raises MissingPackage."""
+    try:
+        import pandas
+    except ModuleNotFoundError as error:
+        raise MissingPackage("to_frame", "pandas") from error
+    return pandas.DataFrame(list(rows), columns=list(columns))
+
+
+def existing(sources: Sequence[str]) -> list[Path]:
+    """The files among the sources of recordings."""
+    return [Path(each) for each in dict.fromkeys(sources) if Path(each).is_file()]
