@@ -14,6 +14,7 @@ from upright.layers.results import (
     EstimationError,
     GreyBox,
     Picture,
+    Provenance,
     compared,
     compared_models,
     comparison_figure,
@@ -21,11 +22,12 @@ from upright.layers.results import (
     print_comparisons,
     provenance,
     write_comparison,
-    write_text,
+    write_whole,
 )
 from upright.model import Given, Model, content
 from upright.recording import gathered
 from upright.shown import as_frame, as_html, as_text, existing
+from upright.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas
@@ -39,7 +41,7 @@ class Comparison:
     """Models beside each other on each recording. `answers`, of which nothing is stable: by recording, the models."""
 
     answers: tuple[tuple[str, Sequence[Compared]], ...]
-    subject: str
+    origin: Provenance
 
     @property
     def adequate(self) -> dict[str, bool]:
@@ -87,8 +89,7 @@ class Comparison:
 
     def report(self, path: str | PathLike[str]) -> Path:
         """Write a self-contained page to read, mail and print (.html), whole or not at all, and return its path."""
-        origin = provenance(self.subject, existing([source for source, _ in self.answers]))
-        write_text(Path(path), write_comparison(self.answers, provenance=origin))
+        write_whole(Path(path), write_comparison(self.answers, provenance=self.origin))
         return Path(path)
 
     def _each(self) -> list[tuple[str, Compared]]:
@@ -124,11 +125,13 @@ def compare(
     """
     found, file = gathered(recordings, vehicle)
     chosen = _named(models, file)
+    origin = provenance(name_of(next(iter(chosen.values())), file), existing(found))
     answers: list[tuple[str, Sequence[Compared]]] = []
     each = compared(found, chosen, file, lambda text: progress(text, len(answers) / len(found)))
-    for recording, answer in zip(found, each, strict=True):
-        answers.append((recording.source, answer))
-    return Comparison(tuple(answers), name_of(next(iter(chosen.values())), file))
+    with one_thread():
+        for recording, answer in zip(found, each, strict=True):
+            answers.append((recording.source, answer))
+    return Comparison(tuple(answers), origin)
 
 
 def _named(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from upright.layers.results import (
     Found,
     ModelFile,
     Picture,
+    Provenance,
     before_and_after,
     comparison_figure,
     diagnosed,
@@ -28,17 +29,20 @@ from upright.layers.results import (
     provenance,
     report_paths,
     revised,
-    write_text,
+    write_whole,
 )
 from upright.model import Given, Model, content
 from upright.recording import gathered
 from upright.shown import as_frame, as_html, as_text, existing
+from upright.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas
     from rich.console import Console
 
-    from upright.layers.recordings import VehicleFile
+
+GivenEffect = str | PathLike[str] | Effect
+"""An effect as a user gives it: its name, its file, or itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +88,8 @@ class Diagnosis:
     """The verdict about a model, and the effects that it lacks, the likeliest first."""
 
     answer: Diagnosed
-    vehicle: VehicleFile | None
-    recordings: tuple[Recorded, ...]
-    revision: ModelFile | None
+    revised: ModelFile | None
+    origin: Provenance
 
     @property
     def verdict(self) -> str:
@@ -130,7 +133,7 @@ class Diagnosis:
     @property
     def model(self) -> Model | None:
         """The model with the missing effects, fitted; None if the recordings cannot be used."""
-        return None if self.revision is None else Model(self.revision)
+        return None if self.revised is None else Model(self.revised)
 
     def to_json(self) -> dict[str, Any]:
         """The document of `upright diagnose --json`."""
@@ -150,7 +153,8 @@ class Diagnosis:
         """The model before and after the effects were added: prediction over measurement, and where each fails, as a
         figure of matplotlib. Raises UprightError if no model could be fitted."""
         (part, *_) = self.answer.parts
-        comparisons, why = before_and_after(part.found, part.recordings, self.answer.support)
+        with one_thread():
+            comparisons, why = before_and_after(part.found, part.recordings, self.answer.support)
         if not comparisons:
             raise EstimationError("plot", why.rstrip("."), remedy=self.next_step)
         return comparison_figure(comparisons)
@@ -158,10 +162,10 @@ class Diagnosis:
     def report(self, path: str | PathLike[str]) -> Path:
         """Write a self-contained page to read, mail and print (.html), whole or not at all, and return its path. If a
         vehicle and its actuators both lack something, a second page is beside it (NAME-2.html)."""
-        subject = name_of(self.answer.model, self.vehicle)
-        texts = self.answer.pages(provenance(subject, existing([each.source for each in self.recordings])))
+        with one_thread():
+            texts = self.answer.pages(self.origin)
         for target, text in zip(report_paths(Path(path), len(texts)), texts, strict=True):
-            write_text(target, text)
+            write_whole(target, text)
         return Path(path)
 
     def __str__(self) -> str:
@@ -182,8 +186,8 @@ def diagnose(
     model: Given | None = None,
     *,
     vehicle: str | PathLike[str] | None = None,
-    effects: Sequence[str | PathLike[str] | Effect] | None = None,
-    also: Sequence[str | PathLike[str] | Effect] = (),
+    effects: GivenEffect | Sequence[GivenEffect] | None = None,
+    also: GivenEffect | Sequence[GivenEffect] = (),
     most: int = 3,
     budget: float | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -192,32 +196,35 @@ def diagnose(
 
     The last of several recordings is held out for validation, or each third of a single one in turn. `model` and
     `vehicle` as for `identify`. `effects` to look for, by default the whole catalogue, and `also` these: names, files
-    of your own (.toml, .py), or Effects. At most `most` of them are added. `budget` s: the time limit, `math.inf` for
-    none, by default 60 s and proportionally more for over 12,000 samples; what could not be tried is reported.
-    `progress` is called with the current step and the share that is done, 0 to 1; an exception that it raises ends the
-    work.
+    of your own (.toml, .py), or Effects, one or several. At most `most` of them are added. `budget` s: the time limit,
+    `math.inf` for none, by default 60 s and proportionally more for over 12,000 samples; what could not be tried is
+    reported. `progress` is called with the current step and the share that is done, 0 to 1; an exception that it raises
+    ends the work.
     Raises UprightError, with the remedy, for a model or an effect that is invalid. Recordings that cannot be used give
     the verdict insufficient_data.
     """
     found, file = gathered(recordings, vehicle)
     start = None if model is None else content(model, file)
-    candidates = Candidates.of(None if effects is None else [*map(_known, effects)], [*map(_known, also)])
-    origin = provenance("", existing([each.source for each in found]))  # now: files may have changed afterwards
-    answer = diagnosed(
-        found,
-        file,
-        model=None if start is None else start.model,
-        candidates=candidates.effects,
-        most=most,
-        seconds=budget,
-        progress=progress,
-    )
-    revision = None
+    candidates = Candidates.of(None if effects is None else _each(effects), _each(also))
+    origin = provenance("", existing(found))  # now, since minutes later a file may have changed
+    with one_thread():
+        answer = diagnosed(
+            found,
+            file,
+            model=None if start is None else start.model,
+            candidates=candidates.effects,
+            most=most,
+            seconds=budget,
+            progress=progress,
+        )
+    after = None
     if answer.found.revised is not None:
         before = start or ModelFile(answer.model)
-        revision = revised(before, answer.found, origin.hashes, candidates.files, now())
-    return Diagnosis(answer, file, tuple(found), revision)
+        after = revised(before, answer.found, origin.hashes, candidates.files, now())
+    return Diagnosis(answer, after, replace(origin, vehicle=name_of(answer.model, file)))
 
 
-def _known(effect: str | PathLike[str] | Effect) -> str | Effect:
-    return effect if isinstance(effect, Effect) else fspath(effect)
+def _each(effects: GivenEffect | Sequence[GivenEffect]) -> list[str | Effect]:
+    """One or several, for the layers below."""
+    several = [effects] if isinstance(effects, str | PathLike | Effect) else effects
+    return [each if isinstance(each, Effect) else fspath(each) for each in several]

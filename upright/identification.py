@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,16 +14,19 @@ from upright.layers.results import (
     Identified,
     ModelFile,
     Picture,
+    Provenance,
     identified,
+    identified_file,
     method_figure,
     name_of,
     print_methods,
     provenance,
-    write_text,
+    write_whole,
 )
 from upright.model import Given, Model, content
 from upright.recording import gathered
 from upright.shown import as_frame, as_html, as_text, existing
+from upright.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas
@@ -35,7 +38,8 @@ class Identification:
     """The estimates of all methods, and the method to rely on (`best`, "" for none, with its `best_reason`)."""
 
     answer: Identified
-    start: ModelFile
+    fitted: ModelFile | None
+    origin: Provenance
 
     @property
     def best(self) -> str:
@@ -61,8 +65,7 @@ class Identification:
     @property
     def model(self) -> Model | None:
         """The model with the estimates of the `best` method; None if there is none."""
-        fitted = self.answer.fitted
-        return None if fitted is None else Model(ModelFile(fitted, self.start.history, self.start.effect_files))
+        return None if self.fitted is None else Model(self.fitted)
 
     def to_json(self) -> dict[str, Any]:
         """The document of `upright identify --json`."""
@@ -85,8 +88,9 @@ class Identification:
     def report(self, path: str | PathLike[str]) -> Path:
         """Write a self-contained page to read, mail and print (.html), whole or not at all, and return its path."""
         subject = name_of(self.answer.model, self.answer.vehicle)
-        origin = provenance(subject, existing([each.source for each in self.answer.recordings]))
-        write_text(Path(path), self.answer.page(origin))
+        with one_thread():
+            text = self.answer.page(replace(self.origin, vehicle=subject))
+        write_whole(Path(path), text)
         return Path(path)
 
     def __str__(self) -> str:
@@ -107,7 +111,7 @@ def identify(
     model: Given | None = None,
     *,
     vehicle: str | PathLike[str] | None = None,
-    methods: Sequence[str] = (),
+    methods: str | Sequence[str] = (),
     every: bool = False,
     bandwidth: float | None = None,
     progress: Callable[[str, float], None] = lambda text, share: None,
@@ -123,15 +127,17 @@ def identify(
     """
     found, file = gathered(recordings, vehicle)
     start = None if model is None else content(model, file)
-    answer = identified(
-        found,
-        file,
-        model=None if start is None else start.model,
-        methods=methods,
-        every=every,
-        bandwidth=bandwidth,
-        progress=lambda method, label, done, total: progress(f"{method}: {label}", done / total),
-    )
+    origin = provenance("", existing(found))
+    with one_thread():
+        answer = identified(
+            found,
+            file,
+            model=None if start is None else start.model,
+            methods=[methods] if isinstance(methods, str) else methods,
+            every=every,
+            bandwidth=bandwidth,
+            progress=lambda method, label, done, total: progress(f"{method}: {label}", done / total),
+        )
     if answer.document["cancelled"]:
         raise KeyboardInterrupt
-    return Identification(answer, start or ModelFile(answer.model))
+    return Identification(answer, identified_file(start or ModelFile(answer.model), answer, origin.hashes), origin)

@@ -15,6 +15,8 @@ from upright.layers.effects import UprightError
 if TYPE_CHECKING:
     import pandas
 
+    from upright.layers.recordings import Recorded
+
 NOTEBOOK_WIDTH = 110
 """Characters of a line in a notebook."""
 BLOCK = '<pre style="white-space:pre;overflow-x:auto;line-height:1.25">{code}</pre>'
@@ -36,7 +38,7 @@ def as_text(write: Print) -> str:
     """What `write` prints, without colours, as wide as the terminal."""
     text = StringIO()
     write(Console(file=text, width=get_terminal_size((100, 24)).columns, highlight=False))
-    return text.getvalue().rstrip("\n")
+    return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
 
 
 def as_html(write: Print) -> str:
@@ -55,6 +57,7 @@ def as_frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pandas.Da
     return pandas.DataFrame(list(rows), columns=list(columns))
 
 
-def existing(sources: Sequence[str]) -> list[Path]:
-    """The files among the sources of recordings."""
-    return [Path(each) for each in dict.fromkeys(sources) if Path(each).is_file()]
+def existing(recordings: Sequence[Recorded]) -> list[Path]:
+    """The files that the recordings are of."""
+    sources = dict.fromkeys(each.source for each in recordings)
+    return [Path(source) for source in sources if Path(source).is_file()]

@@ -148,7 +148,7 @@ def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None
     except ModelError:
         known = None
     if known is None or attached.effect not in (known, known.instead, known.finer):
-        remedy = "write it into a file of its own and name that in `effect_files`."
+        remedy = "write it into a file of its own (.toml or .py), and add that."
         raise ModelError(where, "is not in the catalogue, and no file is known for it", remedy=remedy)
 
 

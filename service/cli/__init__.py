@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import Annotated
 
 # The matrices are small: multithreaded BLAS is slower than a single thread, tenfold on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -24,9 +25,27 @@ app = typer.Typer(
     "see which physical effect the model lacks.\n\nStart with `upright demo`; it needs no hardware.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"upright {version('upright')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
 live.register(app)
 talk.register(app)
 commission.register(app)
@@ -43,7 +62,7 @@ doctor.register(app)
 def main() -> None:
     """Entry point. An UprightError is shown as a sentence with its remedy; any other exception shows its traceback."""
     try:
-        app()
+        app(prog_name="upright")
     except UprightError as error:
         typer.echo(f"upright: {error}", err=True)
         sys.exit(1)

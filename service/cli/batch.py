@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import VehicleOption, methods, models
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
 from service.cli.inputs import fitting, load_recording, working
@@ -37,12 +37,16 @@ def identify(
     recordings: Recordings,
     vehicle: VehicleOption = "monocab",
     method: Annotated[
-        list[str] | None, typer.Option("--method", "-m", help="Method.", show_default="all, side by side")
+        list[str] | None,
+        typer.Option("--method", "-m", help="Method.", show_default="all, side by side", autocompletion=methods),
     ] = None,
     model: Annotated[
         str | None,
         typer.Option(
-            "--model", help="A shipped model or a model file.", show_default="the vehicle's with its CAD values"
+            "--model",
+            help="A shipped model or a model file.",
+            show_default="the vehicle's with its CAD values",
+            autocompletion=models,
         ),
     ] = None,
     every: Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import VehicleOption, models
 from service.output import check_folder, page, people, print_json
 from service.whole_file import write_whole
 
@@ -23,6 +23,7 @@ def compare(
             " recording, or the output of `upright model add --json` (for the model before the addition). May be given"
             " several times.",
             show_default="the vehicle's with its CAD values",
+            autocompletion=models,
         ),
     ] = None,
     picture: Annotated[
@@ -53,13 +54,13 @@ def compare(
         check_suffix(picture)
     check_folder(report)
     file = load(vehicle)
-    models = compared_models(model or [], file, note=lambda text: people.print(f"[yellow]{text}[/yellow]"))
+    chosen = compared_models(model or [], file, note=lambda text: people.print(f"[yellow]{text}[/yellow]"))
     answers = []
     pictures = []
     with working() as step:
         for path in recordings:
             step(f"comparing: {path.name}")
-            (found,) = compared([load_recording(path, vehicle)], models, file, step)
+            (found,) = compared([load_recording(path, vehicle)], chosen, file, step)
             answers.append((path, found))
             if picture is not None:
                 from diagnosis.report.figures.comparison import save_comparison
@@ -72,7 +73,7 @@ def compare(
             from diagnosis.report import write_comparison
             from service.offline.provenance import provenance
 
-            origin = provenance(name_of(next(iter(models.values())), file), recordings)
+            origin = provenance(name_of(next(iter(chosen.values())), file), recordings)
             named = [(str(path), found) for path, found in answers]
             write_whole(report, write_comparison(named, provenance=origin, progress=step))
     if json:

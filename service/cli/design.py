@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import VehicleOption, methods, models
 from service.output import page, print_json
 
 if TYPE_CHECKING:
@@ -33,11 +33,16 @@ def design(
     ] = None,
     vehicle: VehicleOption = "monocab",
     method: Annotated[
-        str | None, typer.Option("--method", "-m", help="Method of the result.", show_default="the recommended one")
+        str | None,
+        typer.Option(
+            "--method", "-m", help="Method of the result.", show_default="the recommended one", autocompletion=methods
+        ),
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option("--model", help="The model that `identify` was given.", show_default="the vehicle's"),
+        typer.Option(
+            "--model", help="The model that `identify` was given.", show_default="the vehicle's", autocompletion=models
+        ),
     ] = None,
     use: Annotated[
         bool, typer.Option("--use", help="Let the daemon use these controllers from the next experiment on.")

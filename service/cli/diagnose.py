@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import VehicleOption, effects, models
 from service.output import page, print_json
 from service.whole_file import write_whole
 
@@ -23,7 +23,10 @@ def diagnose(
     model: Annotated[
         str | None,
         typer.Option(
-            "--model", help="A model file or a shipped model.", show_default="the vehicle's with its CAD values"
+            "--model",
+            help="A model file or a shipped model.",
+            show_default="the vehicle's with its CAD values",
+            autocompletion=models,
         ),
     ] = None,
     effect: Annotated[
@@ -33,6 +36,7 @@ def diagnose(
             help="Look only for this effect: a name of the catalogue, or an effect of your own (.toml, .py). May be"
             " repeated.",
             show_default="the whole catalogue",
+            autocompletion=effects,
         ),
     ] = None,
     own: Annotated[

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from models.effect import Effect
 from models.file.allowed_code import sha256
 from models.file.document import ModelFile
+from models.file.history import values_of
 from models.file.model_file import read, write
 from models.model import Model
 from models.parts import ModelError
@@ -25,6 +26,7 @@ from vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
     from diagnosis.diagnose import Diagnosis
+    from service.offline.identify import Identified
 
 
 def started(given: str | Path | Model | None, vehicle: VehicleFile | None = None) -> ModelFile:
@@ -62,12 +64,29 @@ def without_effect(file: ModelFile, name: str) -> ModelFile:
     return replace(file, model=file.model.remove(name), history=(*file.history, entry), effect_files=files)
 
 
+def identified(file: ModelFile, answer: Identified, hashes: Mapping[str, str]) -> ModelFile | None:
+    """`file` with the values and standard deviations of the recommended method, and an entry in its history that knows
+    those before; None if no method is recommended. `hashes` as in `revised`."""
+    fitted = answer.fitted
+    if fitted is None:
+        return None
+    entry = {
+        "action": "identify",
+        "method": answer.document["best"],
+        "date": now(),
+        "recording": list(hashes),
+        "sha256": list(hashes.values()),
+        **values_of(file.model, fitted),
+    }
+    return replace(file, model=fitted, history=(*file.history, entry))
+
+
 def revised(
     file: ModelFile, found: Diagnosis, hashes: Mapping[str, str], own: Mapping[str, Path], date: object
 ) -> ModelFile:
     """`file` with the model that a diagnosis `found`, and an entry in its history for each effect that it added.
 
-    `hashes`: SHA-256 of the recordings by name, "" if it is not known. `own`: the files of effects of the user's own,
+    `hashes`: SHA-256 of the files of the recordings, by name. `own`: the files of effects of the user's own,
     by the effect's name.
     """
     assert found.revised is not None

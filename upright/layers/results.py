@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from service.offline.files import write_text
-
 from diagnosis.diagnose import Finding as Found
 from diagnosis.prediction.compare import Comparison as Compared
-from diagnosis.report import write_comparison
+from diagnosis.report import Provenance, write_comparison
 from diagnosis.report.diagnosis_report import before_and_after
 from diagnosis.report.figures.comparison import comparison_figure
 from diagnosis.report.figures.drawing import Picture
@@ -21,6 +19,7 @@ from service.offline.compare import compared
 from service.offline.diagnose import Diagnosed, diagnosed, report_paths
 from service.offline.identify import Identified, identified
 from service.offline.machine import name_of
+from service.offline.model_files import identified as identified_file
 from service.offline.model_files import now, revised, save, started, with_effect, without_effect
 from service.offline.models import Candidates, compared_models
 from service.offline.provenance import provenance
@@ -28,6 +27,7 @@ from service.pages.compare import print_comparisons
 from service.pages.diagnose import print_diagnosis
 from service.pages.identify import print_methods
 from service.pages.model import print_model
+from service.whole_file import write_whole
 
 __all__ = [
     "Candidates",
@@ -39,6 +39,7 @@ __all__ = [
     "Identified",
     "ModelFile",
     "Picture",
+    "Provenance",
     "before_and_after",
     "compared",
     "compared_models",
@@ -46,6 +47,7 @@ __all__ = [
     "diagnosed",
     "headline",
     "identified",
+    "identified_file",
     "method_figure",
     "name_of",
     "now",
@@ -63,5 +65,5 @@ __all__ = [
     "with_error",
     "without_effect",
     "write_comparison",
-    "write_text",
+    "write_whole",
 ]

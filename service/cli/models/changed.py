@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.arguments import effects, models, vehicles
 from service.output import page, print_json
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ VehicleOption = Annotated[
         "-v",
         help="A shipped vehicle or a vehicle file, for its support angle, and its CAD values for a shipped model.",
         show_default="from the recordings",
+        autocompletion=vehicles,
     ),
 ]
 
@@ -40,9 +42,15 @@ def register(app: typer.Typer) -> None:
 
 
 def add(
-    name: Annotated[str, typer.Argument(metavar="MODEL", help="A model file, or a shipped model with -o.")],
+    name: Annotated[
+        str, typer.Argument(metavar="MODEL", help="A model file, or a shipped model with -o.", autocompletion=models)
+    ],
     effect: Annotated[
-        str, typer.Argument(help="An effect of the catalogue, or the file of an effect of your own (.toml, .py).")
+        str,
+        typer.Argument(
+            help="An effect of the catalogue, or the file of an effect of your own (.toml, .py).",
+            autocompletion=effects,
+        ),
     ],
     recording: Annotated[
         list[Path] | None,

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.arguments import effects, models, vehicles
 from service.cli.models import changed
 from service.output import page, print_json
 
@@ -36,10 +37,19 @@ def register(app: typer.Typer) -> None:
 
 @model.command(epilog="Example: `upright model show monocab_reduced --effect coulomb_friction --format latex`")
 def show(
-    name: Annotated[str, typer.Argument(metavar="MODEL", help="A shipped model (monocab_reduced) or a model file.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL", help="A shipped model (monocab_reduced) or a model file.", autocompletion=models
+        ),
+    ],
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", help="Show it with this effect: EFFECT or EFFECT@PLACE; may be given several times."),
+        typer.Option(
+            "--effect",
+            help="Show it with this effect: EFFECT or EFFECT@PLACE; may be given several times.",
+            autocompletion=effects,
+        ),
     ] = None,
     format: Annotated[Format, typer.Option("--format", help="Output format.")] = Format.TEXT,
     json: JsonOption = False,
@@ -124,11 +134,15 @@ def list_effects(
 @model.command(epilog="Example: `upright model new mine.toml --base monocab_reduced --vehicle monocab`")
 def new(
     file: FileArgument,
-    base: Annotated[str, typer.Option("--base", help="The shipped model to start from.")],
+    base: Annotated[str, typer.Option("--base", help="The shipped model to start from.", autocompletion=models)],
     vehicle: Annotated[
         str | None,
         typer.Option(
-            "--vehicle", "-v", help="A vehicle whose parameter values to use.", show_default="those of the base"
+            "--vehicle",
+            "-v",
+            help="A vehicle whose parameter values to use.",
+            show_default="those of the base",
+            autocompletion=vehicles,
         ),
     ] = None,
 ) -> None:
