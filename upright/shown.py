@@ -37,15 +37,20 @@ class MissingPackage(UprightError):
 def as_text(write: Print) -> str:
     """What `write` prints, without colours, as wide as the terminal."""
     text = StringIO()
-    write(Console(file=text, width=get_terminal_size((100, 24)).columns, highlight=False))
+    write(_console(text, get_terminal_size((100, 24)).columns))
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
 
 
 def as_html(write: Print) -> str:
     """What `write` prints, for a notebook."""
-    console = Console(file=StringIO(), record=True, width=NOTEBOOK_WIDTH, highlight=False, color_system="truecolor")
+    console = _console(StringIO(), NOTEBOOK_WIDTH, record=True, color_system="truecolor")
     write(console)
     return console.export_html(inline_styles=True, code_format=BLOCK)
+
+
+def _console(file: StringIO, width: int, **more: Any) -> Console:
+    """A console that writes to `file` alone, in a notebook, too."""
+    return Console(file=file, width=width, highlight=False, force_jupyter=False, **more)
 
 
 def as_frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pandas.DataFrame:

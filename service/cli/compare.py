@@ -59,7 +59,7 @@ def compare(
     pictures = []
     with working() as step:
         for path in recordings:
-            step(f"comparing: {path.name}")
+            step(f"reading: {path.name}")
             (found,) = compared([load_recording(path, vehicle)], chosen, file, step)
             answers.append((path, found))
             if picture is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 from diagnosis.prediction.compare import Comparison, compare
 from models.model import Model
@@ -26,6 +27,7 @@ def compared(
     subject = next(iter(models.values()))
     support = support_of(subject, vehicle)
     for recording in recordings:
+        progress(f"comparing: {Path(recording.source).name}")
         loaded = {name: with_load(each, recording) for name, each in models.items()}
         loops = loops_of(subject, vehicle, [recording])
         yield compare(loaded, [recording], support=support, loops=loops, progress=progress)

@@ -19,6 +19,7 @@ SHORT = {
     "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
     "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),
     "frame_loss.py": ("--hours", "1"),
+    "importing.py": ("--runs", "1"),
     "live_estimators.py": ("parting", "--seeds", "1", "--situation", "nothing"),
     "monte_carlo.py": ("--runs", "2", "--duration", "15", "--method", "least_squares", "--processes", "1"),
     "passes.py": ("--vehicle", "monocab", "--seconds", "12"),
