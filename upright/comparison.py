@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from upright.inputs import Given, content, gathered
 from upright.layers.recordings import Recorded
 from upright.layers.results import (
     Compared,
@@ -24,8 +25,7 @@ from upright.layers.results import (
     write_comparison,
     write_whole,
 )
-from upright.model import Given, Model, content
-from upright.recording import gathered
+from upright.model import Model
 from upright.shown import as_frame, as_html, as_text, existing
 from upright.threads import one_thread
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pandas
     from rich.console import Console
 
-    from upright.layers.recordings import VehicleFile
+    from upright.layers.results import VehicleFile
 
 
 @dataclass(frozen=True, slots=True, repr=False)

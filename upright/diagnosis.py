@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from upright.estimates import Value
+from upright.inputs import Given, content, gathered
 from upright.layers.effects import Effect
 from upright.layers.recordings import Recorded
 from upright.layers.results import (
@@ -31,8 +32,7 @@ from upright.layers.results import (
     revised,
     write_whole,
 )
-from upright.model import Given, Model, content
-from upright.recording import gathered
+from upright.model import Model
 from upright.shown import as_frame, as_html, as_text, existing
 from upright.threads import one_thread
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from upright.estimates import Value
+from upright.inputs import Given, content, gathered
 from upright.layers.recordings import Recorded
 from upright.layers.results import (
     Identified,
@@ -23,8 +24,7 @@ from upright.layers.results import (
     provenance,
     write_whole,
 )
-from upright.model import Given, Model, content
-from upright.recording import gathered
+from upright.model import Model
 from upright.shown import as_frame, as_html, as_text, existing
 from upright.threads import one_thread
 

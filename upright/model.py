@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from upright.estimates import Value
 from upright.layers.effects import Effect
-from upright.layers.recordings import load_vehicle
-from upright.layers.results import ModelFile, print_model, save, started, with_effect, without_effect
+from upright.layers.results import ModelFile, load_vehicle, print_model, save, started, with_effect, without_effect
 from upright.shown import as_frame, as_html, as_text
 
 if TYPE_CHECKING:
     import pandas
     from rich.console import Console
-
-    from upright.layers.recordings import VehicleFile
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -39,7 +36,7 @@ class Model:
 
         Raises UprightError, which names file, key and remedy.
         """
-        known = None if vehicle is None else load_vehicle(str(vehicle))
+        known = None if vehicle is None else load_vehicle(fspath(vehicle))
         return cls(started(None if name_or_path is None else fspath(name_or_path), known))
 
     @property
@@ -107,12 +104,3 @@ class Model:
 
     def _print(self, to: Console) -> None:
         print_model(self.file.model, self.file.history, to)
-
-
-Given = str | PathLike[str] | Model
-"""A model as a user gives it: its file, its name, or itself."""
-
-
-def content(model: Given, vehicle: VehicleFile | None) -> ModelFile:
-    """The content of a model, a shipped one with the values of the `vehicle`. Raises UprightError."""
-    return model.file if isinstance(model, Model) else started(fspath(model), vehicle)

@@ -4,31 +4,21 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from upright.layers.recordings import (
-    Recorded,
-    RecordingError,
-    VehicleFile,
-    describe,
-    instants,
-    load_vehicle,
-    read,
-    vehicle_of,
-    with_age,
-)
+from upright.layers.recordings import Recorded, RecordingError, describe, instants, read
 from upright.shown import as_frame
 
 if TYPE_CHECKING:
     import pandas
 
-    from upright.layers.results import Picture
+    from upright.layers.results import Picture, VehicleFile
 
 
 class RecordingWarning(UserWarning):
@@ -114,16 +104,13 @@ def load(
     replaced by those of the sampling clock. What is unusual is a RecordingWarning.
     Raises RecordingError, which names the file, the channel or line, and the remedy.
     """
-    found, notes = read(Path(path), None if vehicle is None else load_vehicle(str(vehicle)))
+    found, notes = read(Path(path), None if vehicle is None else _file(vehicle))
     for note in notes:
         warnings.warn(f"{path}: {note}", RecordingWarning, stacklevel=2)
     return Recording.of(found).between(begin, end)
 
 
-def gathered(
-    recordings: Recorded | Sequence[Recorded], vehicle: str | PathLike[str] | None
-) -> tuple[list[Recorded], VehicleFile | None]:
-    """The recordings as a list, and the vehicle that made them: the given one, or the one that they name."""
-    found = [recordings] if isinstance(recordings, Recorded) else list(recordings)
-    file = vehicle_of(found) if vehicle is None else load_vehicle(str(vehicle))
-    return ([with_age(each, file) for each in found] if file else found), file
+def _file(vehicle: str | PathLike[str]) -> VehicleFile:
+    from upright.layers.results import load_vehicle
+
+    return load_vehicle(fspath(vehicle))

@@ -1,17 +1,20 @@
-"""Read a recording to estimate from: of any kind, at the instants of its samples, with notes about what is unusual."""
+"""Read a recording to estimate from: of any kind, at the instants of its samples, with notes about what is unusual.
+
+Without a vehicle nothing of the vehicles is imported, so that a script has its table at once.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from estimators.data.segments import falls_at
-from service.offline.replay import load
 from telemetry import storage
 from telemetry.clock import with_regular_times
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
-from vehicles.registry import nominal_model
-from vehicles.sections import VehicleFile
+
+if TYPE_CHECKING:
+    from vehicles.sections import VehicleFile
 
 
 def read(
@@ -24,6 +27,8 @@ def read(
     `database` is a DBC, for the signals of a CAN log. Raises RecordingError.
     """
     if vehicle is not None:
+        from service.offline.replay import load
+
         recording = load(path, vehicle, database)
     elif path.suffix == ".log":
         remedy = "Name the vehicle whose frames it holds."
@@ -39,6 +44,9 @@ def _fall(recording: Recording, vehicle: VehicleFile | None) -> str:
     """A sentence about the fall of the vehicle; "" if it did not fall."""
     if vehicle is None:
         return ""
+    from estimators.data.segments import falls_at
+    from vehicles.registry import nominal_model
+
     falls = falls_at(nominal_model(vehicle.vehicle.kind), recording, vehicle.support)
     if falls is None:
         return ""

@@ -11,11 +11,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from service.offline.files import write_text
 from test_library_model import RUBBING, RUBBING_TOML
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import upright
-from service.offline.files import write_text
 
 FEW = ("coulomb_friction", "viscous_friction")
 """Effects to look for: the search through the whole catalogue is tested elsewhere."""

@@ -1,4 +1,4 @@
-"""From the layers: what fits, compares, diagnoses, prints and draws."""
+"""From the layers: vehicle files, and what fits, compares, diagnoses, prints and draws."""
 
 from __future__ import annotations
 
@@ -18,16 +18,19 @@ from models.model import Model as GreyBox
 from service.offline.compare import compared
 from service.offline.diagnose import Diagnosed, diagnosed, report_paths
 from service.offline.identify import Identified, identified
-from service.offline.machine import name_of
+from service.offline.machine import name_of, vehicle_of
 from service.offline.model_files import identified as identified_file
 from service.offline.model_files import now, revised, save, started, with_effect, without_effect
 from service.offline.models import Candidates, compared_models
 from service.offline.provenance import provenance
+from service.offline.replay import with_age
 from service.pages.compare import print_comparisons
 from service.pages.diagnose import print_diagnosis
 from service.pages.identify import print_methods
 from service.pages.model import print_model
 from service.whole_file import write_whole
+from vehicles.file import load as load_vehicle
+from vehicles.sections import VehicleFile
 
 __all__ = [
     "Candidates",
@@ -40,6 +43,7 @@ __all__ = [
     "ModelFile",
     "Picture",
     "Provenance",
+    "VehicleFile",
     "before_and_after",
     "compared",
     "compared_models",
@@ -48,6 +52,7 @@ __all__ = [
     "headline",
     "identified",
     "identified_file",
+    "load_vehicle",
     "method_figure",
     "name_of",
     "now",
@@ -61,6 +66,8 @@ __all__ = [
     "revised",
     "save",
     "started",
+    "vehicle_of",
+    "with_age",
     "with_effect",
     "with_error",
     "without_effect",
