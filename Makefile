@@ -63,11 +63,12 @@ faults: $(READY) ## every fault in every part of a run, for every vehicle, as on
 fuzz: $(READY) ## rubbish into everything that reads what others wrote, as one table; ARGS="--minutes 10 --only sdo"
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m fuzz.table $(ARGS)
 
-benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes and hostile clients
+benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, import beside numpy, page beside an empty one, bus turnaround beside bare echoes and hostile clients
 	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc mosquitto:mosquitto chromium:chromium
 	$(BIN)/python benchmarks/broad.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/fitting.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/diagnosing.py
+	$(BIN)/python benchmarks/importing.py
 	$(BIN)/python benchmarks/dashboard.py
 	$(GUEST) $(BIN)/python benchmarks/turnaround.py --rate 500 --seconds 60 \
 	  --source "$(BIN)/python benchmarks/vehicle_at.py {rate} simulate" \

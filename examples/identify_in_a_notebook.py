@@ -8,34 +8,29 @@ Without a recording, one is simulated: the virtual vehicle with a static torque 
 # %% A recording from a file or of the virtual vehicle
 import sys
 
-import estimators
-from estimators.identify.run import with_values
-from models import library
+import upright
 from service.virtual.run import record
-from telemetry import storage
-from vehicles.file import load
 
 if len(sys.argv) > 1:
-    recording = storage.load(sys.argv[1])
+    recording = upright.load(sys.argv[1])
 else:
     recording = record("monocab", "step", hide=["static_torque"], seed=1)
 
 # %% A model: a shipped one, with the vehicle file's CAD values as start values
-vehicle = load("monocab")
-known = vehicle.parameters
-model = with_values(library.get("monocab_roll"), known.values, known.deviations)
+model = upright.Model.load("monocab_roll", vehicle="monocab")
 
 # %% Fit it. In a notebook the last line suffices to show the table
-first = estimators.prediction_error(model, [recording])
+first = upright.identify(recording, model, methods="prediction_error")
 print(first)
-first._repr_html_()
 
 # %% The same with an effect added, as in the paper, and how the prediction changes
-second = estimators.prediction_error(model.add("static_torque"), [recording])
+second = upright.identify(recording, model.add("static_torque"), methods="prediction_error")
 print(second)
-for channel, percent in second.fit_percent.items():
-    print(f"{channel}: {first.fit_percent[channel]:.2f} % -> {percent:.2f} %, half a second ahead")
+fits = upright.compare(recording, {"CAD": model, "with static torque": second.model}).to_json()["models"]
+for channel in fits[0]["fit_percent"]:
+    before, after = (each["fit_percent"][channel] for each in fits)
+    print(f"{channel}: {before:.2f} % -> {after:.2f} %, half a second ahead")
 
 # %% Values are plain numbers
 inertia = second.parameters["inertia"]
-print(f"inertia {inertia.value:.0f} ± {inertia.std:.0f} {inertia.unit}; everything known: {second.values}")
+print(f"inertia {inertia.value:.0f} ± {inertia.std:.0f} {inertia.unit}; everything known: {second.parameters}")

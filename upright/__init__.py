@@ -5,9 +5,9 @@
     recording = upright.load("run.csv")
     print(upright.diagnose(recording, model="pendulum.toml"))
 
-What `__all__` names is stable, with semantic versioning: a major version may change it, no other does. The packages
-below it (`upright.layers` says which) may change at any time. `import upright` imports nothing else: each name is
-imported on its first use.
+What `__all__` names is stable, by semantic versioning: it changes with the major version alone, and before 1.0 with the
+minor one. The packages below (`upright.layers` says which) may change at any time. `import upright` imports nothing
+else: each name is imported on its first use.
 """
 
 from __future__ import annotations

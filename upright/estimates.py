@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Value:
     """`value` and its standard deviation `std`, in `unit`. Both are None if the recordings do not determine it;
     `reason` then says why."""
@@ -29,3 +29,6 @@ class Value:
             return f"not determined: {self.reason}" if self.reason else "not determined"
         number = with_error(self.value, self.std or 0.0)
         return number if self.unit in ("", "1") else f"{number} {self.unit}"
+
+    def __repr__(self) -> str:
+        return f"Value({self})"

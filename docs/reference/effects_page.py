@@ -52,7 +52,8 @@ also use `force`. `twist` is how far the effect lets the actuator be ahead of `c
 show it. `angle_1` and `angle_2` are time derivatives. A place that lacks a name that is used, e.g. an actuator whose
 angle is not measured, cannot have the effect.
 
-A Python file assigns `EFFECT = Effect(...)`. It is code: reading it runs it, with all the rights of the reader.
+A Python file assigns `EFFECT = Effect(...)`, of [`upright`](python.md#effect). It is code: reading it runs it, with all
+the rights of the reader.
 Read only files that you would run.
 """
 

@@ -99,7 +99,7 @@ def _from_python(path: Path, allow: bool) -> Effect:
         raise ModelError(str(path), what, remedy="correct the Python code.") from error
     if not isinstance(effect, Effect):
         what = "does not define EFFECT" if effect is None else f"EFFECT is a {type(effect).__name__}, not an Effect"
-        raise ModelError(f"{path}: EFFECT", what, remedy="write EFFECT = Effect(...), from models.effect.")
+        raise ModelError(f"{path}: EFFECT", what, remedy="write EFFECT = upright.Effect(...).")
     return effect
 
 

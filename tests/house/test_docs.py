@@ -10,6 +10,7 @@ import pytest
 import typer
 from pydantic import BaseModel
 
+import upright
 from service.cli import app
 from vehicles import registry
 
@@ -91,4 +92,20 @@ def test_every_channel_is_explained_with_its_unit(kind: str) -> None:
     missing = [
         channel for channel in registry.channels_of(kind) if f"| `{channel.name}` | {channel.unit} |" not in page
     ]
+    assert not missing
+
+
+INTERNAL = {"of", "file", "answer", "answers", "fitted", "origin", "revised"}
+"""Members of the library's classes of which nothing is stable."""
+
+
+def test_every_name_of_the_library_is_explained() -> None:
+    page = (DOCS / "reference" / "python.md").read_text()
+    missing = [name for name in upright.__all__ if f"`{name}" not in page]
+    for name in ("Recording", "Model", "Identification", "Comparison", "Diagnosis"):
+        section = re.search(rf"^## `{name}`.*?(?=^## |\Z)", page, re.M | re.S)
+        assert section is not None, name
+        public = {member for member in vars(getattr(upright, name)) if not member.startswith("_")} - INTERNAL
+        assert public, name
+        missing += [f"{name}.{each}" for each in sorted(public) if not re.search(rf"`[^`|]*\b{each}\b", section[0])]
     assert not missing

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import runpy
 from pathlib import Path
 from typing import Any
 
@@ -250,13 +249,3 @@ def test_input_delay_is_found_in_the_gimbal_model_and_reported(tmp_path: Path) -
     assert "the model lacks input_delay" in text
     assert "monocab_gimbals" in text
     assert not (tmp_path / "report-2.html").exists()
-
-
-def test_notebook_finds_the_effect_that_it_hides(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["diagnose_in_a_notebook.py"])
-    cells = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "diagnose_in_a_notebook.py"))
-    assert [each.effect for each in cells["answer"].found.findings] == ["coulomb_friction"]
-    assert "missing_effect: coulomb_friction" in capsys.readouterr().out
-    assert "<html" in cells["page"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,3 +133,10 @@ def test_a_python_file_that_nobody_allowed_does_not_run(model: upright.Model, tm
     with pytest.raises(upright.UprightError, match="upright model allow"):
         model.add(file)
     assert [each.name for each in tmp_path.iterdir()] == ["rubbing.py"]
+
+
+def test_the_effect_of_the_manual_can_be_added(model: upright.Model) -> None:
+    manual = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "use-from-python.md"
+    (definition,) = re.findall(r"^bump = (.*?^\))", manual.read_text(), re.DOTALL | re.MULTILINE)
+    bump = eval(definition, {"upright": upright})
+    assert [name for name in model.add(bump).parameters if "." in name] == ["rail_bump.torque", "rail_bump.width"]

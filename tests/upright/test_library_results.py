@@ -151,6 +151,14 @@ class TestComparison:
         with pytest.raises(upright.UprightError, match="there is none"):
             upright.compare(recording, [])
 
+    def test_what_is_no_model_or_no_recording_names_the_remedy(self, folder: Path) -> None:
+        recording, path = upright.load(folder / "run.csv"), str(folder / "run.csv")
+        with pytest.raises(upright.UprightError, match="None is none.*says why"):
+            upright.compare(recording, {"after": None})  # type: ignore[dict-item]
+        for wrong in ([path], []):
+            with pytest.raises(upright.UprightError, match=r"give what upright\.load returns"):
+                upright.compare(wrong, folder / "pendulum.toml")  # type: ignore[arg-type]
+
 
 class TestIdentification:
     def test_the_estimates_of_the_recommended_method(self, identification: upright.Identification) -> None:
