@@ -153,7 +153,7 @@ class TestComparison:
 
     def test_what_is_no_model_or_no_recording_names_the_remedy(self, folder: Path) -> None:
         recording, path = upright.load(folder / "run.csv"), str(folder / "run.csv")
-        with pytest.raises(upright.UprightError, match="None is none.*says why"):
+        with pytest.raises(upright.UprightError, match=r"None is none.*says why"):
             upright.compare(recording, {"after": None})  # type: ignore[dict-item]
         for wrong in ([path], []):
             with pytest.raises(upright.UprightError, match=r"give what upright\.load returns"):
