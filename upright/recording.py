@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from upright.layers.recordings import Recorded, RecordingError, describe, instants, read
-from upright.shown import as_frame
+from upright.shown import frame_of
 
 if TYPE_CHECKING:
     import pandas
@@ -74,8 +74,7 @@ class Recording(Recorded):
 
     def to_frame(self) -> pandas.DataFrame:
         """`time` (s) and the channels as a table of pandas. Raises MissingPackage."""
-        names = self.channels.names
-        return as_frame(("time", *names), list(zip(self.time, *(self[name] for name in names), strict=True)))
+        return frame_of({"time": self.time} | {name: self[name] for name in self.channels.names})
 
     def plot(self, *channels: str) -> Picture:
         """The channels over time, by default those that change, as a figure of matplotlib."""

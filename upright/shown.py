@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from shutil import get_terminal_size
@@ -14,6 +14,7 @@ from upright.layers.effects import UprightError
 
 if TYPE_CHECKING:
     import pandas
+    from numpy.typing import NDArray
 
     from upright.layers.recordings import Recorded
 
@@ -55,11 +56,16 @@ def _console(file: StringIO, width: int, **more: Any) -> Console:
 
 def as_frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pandas.DataFrame:
     """The rows as a table of pandas. Raises MissingPackage."""
+    return frame_of({name: [row[place] for row in rows] for place, name in enumerate(columns)})
+
+
+def frame_of(columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> pandas.DataFrame:
+    """The columns as a table of pandas. Raises MissingPackage."""
     try:
         import pandas
     except ModuleNotFoundError as error:
         raise MissingPackage("to_frame", "pandas") from error
-    return pandas.DataFrame(list(rows), columns=list(columns))
+    return pandas.DataFrame(dict(columns))
 
 
 def existing(recordings: Sequence[Recorded]) -> list[Path]:
