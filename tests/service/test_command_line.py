@@ -58,10 +58,10 @@ def test_a_recording_is_left_to_the_shell() -> None:
 
 @pytest.mark.skipif(not shutil.which("bash"), reason="no bash here")
 def test_bash_takes_the_script(tmp_path: Path) -> None:
-    """Bash itself calls the command, by the script that `--show-completion` prints."""
+    """Bash itself calls the command, by the script that `--show-completion` prints in a bash."""
     (tmp_path / "upright").write_text(f'#!/bin/sh\nexec {" ".join(UPRIGHT)} "$@"\n')
     (tmp_path / "upright").chmod(0o755)
-    script = upright("--show-completion", "bash")
+    script = upright(_UPRIGHT_COMPLETE="source_bash")
     function = re.search(r"^(\w+)\(\)", script, re.MULTILINE)
     assert function is not None
     asked = f"{script}\nCOMP_WORDS=(upright dia); COMP_CWORD=1; {function[1]} upright; echo ${{COMPREPLY[@]}}"
