@@ -196,9 +196,11 @@ def _not_of_this_kind(method: str) -> EstimationError:
 def _before(subject: Subject) -> dict[str, dict[str, Any]]:
     """Prior value, standard deviation and unit of the estimated parameters, from the vehicle file or the model.
 
-    A value of 0, such as the amplitude of an effect, is not a prior.
+    A value of 0 is not a prior, nor is the start value of an effect without a standard deviation.
     """
     estimated = [parameter for parameter in subject.model.parameters if parameter.estimated]
     values = {p.name: subject.parameters.get(p.name, p.value) for p in estimated}
     stds = {p.name: subject.deviations.get(p.name, p.std) for p in estimated}
-    return {p.name: {"value": values[p.name], "std": stds[p.name], "unit": p.unit} for p in estimated if values[p.name]}
+    own = {parameter.name for parameter in subject.model.base_parameters}
+    known = [p for p in estimated if values[p.name] and (p.name in own or stds[p.name])]
+    return {p.name: {"value": values[p.name], "std": stds[p.name], "unit": p.unit} for p in known}

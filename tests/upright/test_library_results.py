@@ -183,6 +183,14 @@ class TestIdentification:
         assert "prediction_error" in identification.report(tmp_path / "identification.html").read_text()
         assert identification.to_json()["best"] == "prediction_error"
 
+    def test_the_start_of_an_effect_is_no_value_from_before(
+        self, recording: upright.Recording, diagnosis: upright.Diagnosis
+    ) -> None:
+        assert diagnosis.model is not None
+        found = upright.identify(recording, diagnosis.model, methods="prediction_error")
+        assert set(found.to_json()["before"]) == {"inertia", "stiffness"}
+        assert "coulomb_friction.torque" in found.parameters
+
     def test_one_method_by_its_name(self, recording: upright.Recording, folder: Path) -> None:
         assert set(upright.identify(recording, folder / "pendulum.toml", methods="least_squares").methods) == {
             "least_squares"
