@@ -30,14 +30,20 @@ def read(
         from service.offline.replay import load
 
         recording = load(path, vehicle, database)
-    elif path.suffix == ".log":
+    elif _is_can_log(path):
         remedy = "Name the vehicle whose frames it holds."
-        raise RecordingError(str(path), "", "is a raw CAN log, which only a vehicle file explains", remedy=remedy)
+        raise RecordingError(str(path), "", "is a CAN log, which only a vehicle file explains", remedy=remedy)
     else:
         recording = storage.load(path)
     if not as_stamped:
         recording = with_regular_times(recording)
     return recording, tuple(filter(None, (recording.truncated, _fall(recording, vehicle))))
+
+
+def _is_can_log(path: Path) -> bool:
+    from service.offline.can_log import is_can_log
+
+    return is_can_log(path)
 
 
 def _fall(recording: Recording, vehicle: VehicleFile | None) -> str:

@@ -11,7 +11,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from service.offline.files import write_text
 from test_library_model import RUBBING, RUBBING_TOML
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -244,14 +243,6 @@ class TestProgress:
         assert messages.rstrip().endswith("KeyboardInterrupt")
         assert kept.read_text() == "title = 'before'\n"
         assert list(tmp_path.iterdir()) == [kept]
-
-    def test_a_page_that_cannot_be_written_leaves_the_one_before(self, tmp_path: Path) -> None:
-        page = tmp_path / "page.html"
-        write_text(page, "before")
-        with pytest.raises(UnicodeEncodeError):
-            write_text(page, "half of it \ud800")
-        assert page.read_text() == "before"
-        assert list(tmp_path.iterdir()) == [page]
 
 
 def test_blas_has_as_many_threads_afterwards_as_before(recording: upright.Recording, folder: Path) -> None:
