@@ -37,6 +37,8 @@ class DriveHabits:
     read_only: Iterable[Key] = ()
     known: Mapping[Key, tuple[int, ...]] = field(default_factory=dict)
     """The only values that it takes for an object, as unsigned numbers."""
+    rounded: Mapping[Key, int] = field(default_factory=dict)
+    """Objects of which it keeps multiples of this number only, rounded up."""
     initial: Mapping[Key, bytes] = field(default_factory=dict)
     """Values after boot-up in place of those of its EDS."""
 

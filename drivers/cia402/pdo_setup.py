@@ -82,7 +82,7 @@ def configure_pdos(sdo: SdoDialogue, dictionary: ObjectDictionary, rpdo_timeout:
     for number, (cob_id, codec) in enumerate(config.rpdo_codecs.items(), start=1):
         entries = rpdo(number)
         _configure(sdo, entries, cob_id, codec)
-        watches &= sdo.set_if_accepted(
+        watches &= sdo.set_time(
             entries.event_timer,
             milliseconds(rpdo_timeout),
             without="the drive does not notice missing setpoints while the heartbeat goes on",

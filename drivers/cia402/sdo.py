@@ -153,6 +153,22 @@ class SdoDialogue:
             self.warnings.append(f"{error.reason}: {without}")
             return False
 
+    def set_time(self, entry: ObjectEntry, value: int, *, without: str) -> bool:
+        """As `set_if_accepted`, for a time in the lower 16 bits of `value`, in ms, that a drive may round.
+
+        A time that is not the one asked for, but between half and twice of it, is a warning.
+        """
+        try:
+            return self.set_where_present(entry, value, without=without)
+        except Refused as error:
+            found, reason = self.read(entry), error.reason
+        wanted, kept = value & 0xFFFF, found & 0xFFFF
+        if found >> 16 == value >> 16 and wanted <= 2 * kept <= 4 * wanted:
+            self.warnings.append(f"{entry}: the drive has {kept} ms in place of {wanted} ms")
+            return True
+        self.warnings.append(f"{reason}: {without}")
+        return False
+
     def refuse(self, message: str, *, entry: ObjectEntry | None = None, remedy: str) -> DriveSetupError:
         """The error to raise for a problem with this drive."""
         return DriveSetupError(self.config, message, entry=entry, remedy=remedy)

@@ -274,12 +274,12 @@ def _knows_cycle(sdo: SdoDialogue, period: float) -> bool:
 def _set_heartbeats(sdo: SdoDialogue, supervision: Supervision) -> bool:
     """The drive's own heartbeat, and the one that it monitors. False if it cannot monitor one."""
     timeout = milliseconds(supervision.heartbeat_timeout)
-    watches = sdo.set_if_accepted(
+    watches = sdo.set_time(
         od.CONSUMER_HEARTBEAT,
         supervision.master_node << 16 | timeout,
         without="the drive does not notice a dead master by its heartbeat, only by missing setpoints",
     )
-    sdo.set(od.PRODUCER_HEARTBEAT, milliseconds(supervision.heartbeat_period))
+    _set_own_heartbeat(sdo, supervision)
     sdo.set_if_accepted(
         od.EMERGENCY_COB_ID,
         nmt.EMERGENCY_COB_ID + sdo.config.node,
@@ -287,6 +287,16 @@ def _set_heartbeats(sdo: SdoDialogue, supervision: Supervision) -> bool:
         bits=EMERGENCY_BITS,
     )
     return watches
+
+
+def _set_own_heartbeat(sdo: SdoDialogue, supervision: Supervision) -> None:
+    """Of another period than asked for, two must fit into the time that is waited for one: a frame may get lost."""
+    entry = od.PRODUCER_HEARTBEAT
+    try:
+        sdo.set(entry, milliseconds(supervision.heartbeat_period))
+    except Refused:
+        if not 0 < 2 * sdo.read(entry) <= milliseconds(supervision.heartbeat_timeout):
+            raise
 
 
 def _set_stop_reaction(sdo: SdoDialogue) -> int | None:

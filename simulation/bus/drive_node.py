@@ -204,6 +204,9 @@ class VirtualDrive:
 
     def _on_read(self, index: int, subindex: int, od: ODVariable) -> int | None:
         self.servo.sample()
+        if step := self.config.habits.rounded.get((index, subindex)):
+            stored = self._node.data_store.get(index, {}).get(subindex)
+            return None if stored is None else -(-int.from_bytes(stored, "little") // step) * step
         return self.servo.image.get(index << 8 | subindex)
 
     def _on_write(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:

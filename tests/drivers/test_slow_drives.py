@@ -178,6 +178,27 @@ def test_refusal_that_the_vehicle_can_do_without_is_a_warning(habits: dict[str, 
     assert "SDO abort 06010002h" in warning
 
 
+@pytest.mark.parametrize(
+    ("key", "step", "words"),
+    [
+        ((0x1017, 0), 50, ""),
+        ((0x1016, 1), 50, "the drive has 128 ms in place of 120 ms"),
+        ((0x1400, 5), 30, "the drive has 30 ms in place of 20 ms"),
+        ((0x1400, 5), 100, "does not notice missing setpoints"),
+    ],
+)
+def test_drive_may_round_a_time(key: Key, step: int, words: str) -> None:
+    report = set_up(network(rounded={key: step}))
+    assert words in " ".join(report.warnings)
+    assert len(report.warnings) == bool(words)
+    assert report.watches_rpdos == (step != 100)
+
+
+def test_heartbeat_that_is_rounded_too_far_is_refused() -> None:
+    with pytest.raises(DriveSetupError, match=r"1017h:0\): is still 0x64 after 0x28"):
+        set_up(network(rounded={(0x1017, 0): 100}))
+
+
 def test_drive_that_can_watch_neither_heartbeat_nor_setpoints_is_refused() -> None:
     with pytest.raises(DriveSetupError, match="neither the master's heartbeat"):
         set_up(network(read_only=[(0x1016, 1), (0x1400, 5)]))
