@@ -11,6 +11,10 @@ screen:
 
      (1730301035.277560)  can0  RX B -  18A   [4]  00 11 22 33   '..."3'
 
+and what python-can prints:
+
+    Timestamp: 1730301035.277560    ID:      18a    S Rx                DL:  4    00 11 22 33    Channel: can0
+
 Times are absolute, from the start, between two frames (`-td`), or a date. Lines that are no frame are counted.
 """
 
@@ -58,6 +62,10 @@ LOGGED = re.compile(
 SHOWN = re.compile(
     r"\s*(?:\((?P<stamp>[^)]*)\)\s+)?(?P<channel>\S+)\s+(?:[RT]X\s+\S+\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
     r"\s+[\[{]\s*(?P<length>[0-9A-Fa-f]+)\s*[\]}](?P<content>.*)"
+)
+PRINTED = re.compile(
+    r"\s*Timestamp:\s*(?P<stamp>\S+)\s+ID:\s*(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+[SX] [RT]x(?P<flags>[ERFBSI ]*)"
+    r"DL:\s*(?P<length>\d+)\s+(?P<content>.*?)(?:\s+Channel:\s*(?P<channel>\S+))?\s*$"
 )
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 BYTES = re.compile(r"(?:[0-9A-Fa-f]{2}|[01]{8})(?:(?: +|`)(?:[0-9A-Fa-f]{2}|[01]{8}))*(?= |$)")
@@ -114,22 +122,26 @@ def parse_line(line: str, buses: dict[str, int]) -> CanFrame:
 
     Raises ValueError, whose text states the error.
     """
-    logged = LOGGED.match(line)
-    found = logged or SHOWN.match(line)
-    if found is None:
+    if (found := LOGGED.match(line)) is not None:
+        stamp, channel, digits, content = found.groups()
+        data, remote = _logged_data(content)
+    elif (found := SHOWN.match(line) or PRINTED.match(line)) is not None:
+        stamp, channel, digits, length, content = found.group("stamp", "channel", "id", "length", "content")
+        data, remote = _shown_data(content, length)
+        if "R" in found.groupdict().get("flags", ""):
+            data, remote = bytes(int(length)), True
+    else:
         raise ValueError(f"not a CAN frame: {line.strip()[:60]!r}")
-    stamp, digits, content = found["stamp"], found["id"], found["content"]
     if stamp is None:
         raise Untimed("a frame without a time")
     timestamp_ns = parse_time(stamp)
-    data, remote = _logged_data(content) if logged else _shown_data(content, found["length"])
     if len(data) not in LENGTHS:
         raise ValueError(f"a frame of {len(data)} bytes")
     can_id = int(digits, 16)
     extended = len(digits) > 3
     if can_id > (EXTENDED_MASK | ERROR_FLAG if extended else STANDARD_MASK):
         raise ValueError(f"{digits} is not a CAN id")
-    bus = buses.setdefault(found["channel"], len(buses))
+    bus = buses.setdefault(channel or "", len(buses))
     if extended and can_id & ERROR_FLAG:
         return CanFrame(timestamp_ns, can_id & EXTENDED_MASK, data, bus, False, False, True)
     return CanFrame(timestamp_ns, can_id, data, bus, extended, remote)
@@ -155,6 +167,8 @@ def parse_time(text: str) -> int:
 
 def _logged_data(content: str) -> tuple[bytes, bool]:
     """Data of a frame as a log has it, and whether it is a remote frame, with its length in zeros."""
+    with suppress(ValueError):
+        return bytes.fromhex(content), False
     if content[:1] == "#":  # CAN FD: a digit of flags
         content = content[2:]
     elif content[:1] in ("R", "r"):

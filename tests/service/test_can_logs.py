@@ -294,6 +294,7 @@ READ = [
     Dialect("candump -ta -S", text(swapped)),
     Dialect("candump -ta -i", text(in_binary)),
     Dialect("candump -ta -c", text(coloured)),
+    Dialect("what python-can prints", text(lambda frame: f"{next(iter(messages([frame])))}\n"), ".txt"),
     Dialect("CRLF", text(lambda frame: logged(frame).replace("\n", "\r\n"))),
     Dialect("lower case", text(lambda frame: logged(frame).lower())),
     Dialect("two blanks", text(lambda frame: logged(frame).replace(" ", "  "))),
