@@ -74,7 +74,7 @@ def _complete(message: can.Message, line: str) -> can.Message:
 
 def _asc(path: Path, skipped: Skipped) -> Iterable[can.Message]:
     with open_text(path) as file:
-        text = file.read()
+        text = re.sub(r"^(\s*\d+),(\d+\s)", r"\1.\2", file.read(), flags=re.MULTILINE)  # decimal commas
     head = re.search(r"^\s*base\s+\w+\s+timestamps\s+relative", text[:HEAD], re.IGNORECASE | re.MULTILINE)
     yield from _Asc(io.StringIO(_accumulated(text) if head else text), skipped)
 
@@ -95,8 +95,8 @@ def _trc(path: Path, skipped: Skipped) -> Iterable[can.Message]:
     with open_text(path) as file:
         text = file.read()
     version = re.search(r"^;\$FILEVERSION=([\d.]+)", text, re.MULTILINE)
-    # A day number with a decimal comma, as a computer set to German writes it.
-    text = re.sub(r"^(;\$STARTTIME=\d+),(\d+)", r"\1.\2", text, flags=re.MULTILINE)
+    # Decimal commas, as a computer set to German writes them.
+    text = re.sub(r"^(;\$STARTTIME=\d+|\s*\d+\)?\s+\d+),(\d+)", r"\1.\2", text, flags=re.MULTILINE)
     yield from _Trc(io.StringIO(text), skipped, version[1] if version else "1.0")
 
 

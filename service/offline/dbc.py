@@ -23,6 +23,9 @@ from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame
 
+OTHERS = (".kcd", ".sym", ".arxml")
+"""Suffixes of other formats that cantools reads as well."""
+
 SI = {
     **dict.fromkeys(("deg", "°", "degree", "degrees", "grad"), ("rad", math.pi / 180.0)),
     **dict.fromkeys(("deg/s", "°/s", "dps"), ("rad/s", math.pi / 180.0)),
@@ -97,7 +100,8 @@ def _messages(database: Path) -> dict[tuple[int, bool], Any]:
             str(database), "", f"needs the package {error.name}", remedy="pip install 'upright[dbc]'."
         ) from error
     try:
-        read = cantools.database.load_file(str(database), strict=False, prune_choices=False)
+        kind = None if database.suffix.lower() in OTHERS else "dbc"
+        read = cantools.database.load_file(str(database), database_format=kind, strict=False, prune_choices=False)
     except OSError as error:
         raise RecordingError(
             str(database), "", f"cannot be read: {error.strerror}", remedy="Check the path and its permissions."

@@ -204,6 +204,22 @@ def trc_1_1(number: int, ms: float, frame: CanFrame) -> str:
     )
 
 
+def trc_1_0(number: int, ms: float, frame: CanFrame) -> str:
+    return f"{number:6d}){ms:11.3f}  {frame.can_id:04X}  {len(frame.data)}  {frame.data.hex(' ').upper()}\n"
+
+
+def trc_1_3(number: int, ms: float, frame: CanFrame) -> str:
+    return f"{number:6d}){ms:14.3f} 1  Rx  {frame.can_id:04X} -  {len(frame.data)}  {frame.data.hex(' ').upper()}\n"
+
+
+def trc_2_0(number: int, ms: float, frame: CanFrame) -> str:
+    return f"{number:6d} {ms:13.3f} DT {frame.can_id:04X} Rx {len(frame.data)}  {frame.data.hex(' ').upper()}\n"
+
+
+def with_commas(line: Callable[[int, float, CanFrame], str]) -> Callable[[int, float, CanFrame], str]:
+    return lambda number, ms, frame: line(number, ms, frame).replace(".", ",")
+
+
 def trc_1_2(number: int, ms: float, frame: CanFrame) -> str:
     return f"{number:6d}){ms:14.3f} 1  Rx  {frame.can_id:04X}  {len(frame.data)}  {frame.data.hex(' ').upper()}\n"
 
@@ -212,25 +228,25 @@ def trc_2_1(number: int, ms: float, frame: CanFrame) -> str:
     return f"{number:6d} {ms:13.3f} DT 1 {frame.can_id:04X} Rx - {len(frame.data)}  {frame.data.hex(' ').upper()}\n"
 
 
-def asc_of_canoe(stamps: str) -> object:
+def asc_of_canoe(stamps: str, *, base: str = "hex", comma: bool = False) -> object:
     """An ASC file with what CANoe writes beside the frames, in German."""
 
     def write(frames: Sequence[CanFrame], path: Path) -> None:
         lines = [
             "date Mi Okt 30 15:10:35.000 2024",
-            f"base hex  timestamps {stamps}",
+            f"base {base}  timestamps {stamps}",
             "internal events logged",
             "// version 13.0.0 für den Prüfstand",
             "   0.000000 Start of measurement",
         ]
+        number_of = "{:X}".format if base == "hex" else str
         before = frames[0].timestamp_ns
         for number, frame in enumerate(frames):
             time = (frame.timestamp_ns - (before if stamps == "relative" else frames[0].timestamp_ns)) * 1e-9
             before = frame.timestamp_ns
-            data = frame.data.hex(" ").upper()
-            lines.append(
-                f"   {time:.6f} 1  {frame.can_id:X}             Rx   d {len(frame.data)} {data}  Length = 245910"
-            )
+            data = " ".join(map(number_of, frame.data))
+            line = f"   {time:.6f} 1  {number_of(frame.can_id)}      Rx   d {len(frame.data)} {data}  Length = 245910"
+            lines.append(line.replace(".", ",", 1) if comma else line)
             if number % 500 == 0:
                 zero = 0.0 if stamps == "relative" else time
                 lines.append(f"   {zero:.6f} CAN 1 Status:chip status error active")
@@ -343,6 +359,8 @@ READ = [
     Dialect("IMU and drives on a bus each", over_two_interfaces),
     Dialect("ASC by python-can", written_by(can.ASCWriter), ".asc"),
     Dialect("ASC by CANoe", asc_of_canoe("absolute"), ".asc"),
+    Dialect("ASC by CANoe, decimal commas", asc_of_canoe("absolute", comma=True), ".asc"),
+    Dialect("ASC by CANoe, decimal numbers", asc_of_canoe("absolute", base="dec"), ".asc"),
     Dialect("ASC with relative times", asc_of_canoe("relative"), ".asc"),
     Dialect(
         "ASC with a wrong line",
@@ -354,7 +372,17 @@ READ = [
     Dialect("BLF named .log", written_by(can.BLFWriter)),
     Dialect("BLF cut off", written_by(can.BLFWriter, wrong_bytes), ".blf", notes="", samples_lost=1000),
     Dialect("TRC by python-can", written_by(can.TRCWriter), ".trc"),
+    Dialect("TRC 1.0", trc("1.0", trc_1_0), ".trc"),
     Dialect("TRC 1.1", trc("1.1", trc_1_1), ".trc"),
+    Dialect("TRC 1.1 with decimal commas", trc("1.1", with_commas(trc_1_1)), ".trc"),
+    Dialect("TRC 1.3", trc("1.3", trc_1_3), ".trc"),
+    Dialect("TRC 2.0", trc("2.0", trc_2_0, ";$COLUMNS=N,O,T,I,d,l,D\n"), ".trc"),
+    Dialect(
+        "TRC with a wrong line",
+        trc("1.1", lambda n, ms, frame: trc_1_1(n, ms, frame) + ("  7) bad\n" if n % 500 == 0 else "")),
+        ".trc",
+        notes="no CAN frame",
+    ),
     Dialect("TRC 1.2", trc("1.2", trc_1_2), ".trc"),
     Dialect("TRC 2.1", trc("2.1", trc_2_1, ";$COLUMNS=N,O,T,B,I,d,R,L,D\n"), ".trc"),
     Dialect("CSV by python-can", written_by(can.CSVWriter), ".csv"),
