@@ -305,7 +305,8 @@ def _bare(text: str) -> str:
 
 
 def _one_line(text: str) -> str:
-    return text.replace(";", ",").strip()
+    """A name without the comment behind it, as canopen's reader takes it."""
+    return text.split(" ;")[0].replace(";", ",").strip(' "')
 
 
 def _decoded(data: bytes) -> str:

@@ -37,6 +37,9 @@ TABLES = (".arrow", ".parquet", ".feather")
 HEAD = 4096
 """Characters at the beginning of a file from which is found what it is."""
 
+MOST_IDS = 8
+"""Ids of a log that an error names."""
+
 LOOK = 5000
 """Frames from which is found on which interfaces a vehicle is."""
 
@@ -105,6 +108,13 @@ def of_vehicle(log: CanLog, io: VehicleIo, vehicle: VehicleFile, notes: list[str
     for frame in chain(first, frames):
         if chosen.get(frame.can_id, frame.bus) == frame.bus:
             yield frame
+
+
+def ids(log: CanLog) -> str:
+    """The ids in a log, the most frequent ones first, in words."""
+    found = Counter(f"{frame.can_id:03X}h" for frame in islice(log, LOOK) if not frame.error)
+    more = f" and {len(found) - MOST_IDS} more" if len(found) > MOST_IDS else ""
+    return f"the ids {', '.join(name for name, _ in found.most_common(MOST_IDS))}{more}" if found else "no frames"
 
 
 class MessageLog:

@@ -82,7 +82,8 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
     frames = can_log.of_vehicle(log, io, vehicle, notes)
     rows = list(rows_from_frames(frames, io, registry.kind_of(vehicle, io), assembly.roll_filter(vehicle)))
     if not rows:
-        raise RecordingError(str(path), "", f"its frames give no complete sample: {_missing(io)}", remedy=_CHECK)
+        what = f"its frames give no complete sample: {_missing(io)}; it holds {can_log.ids(log)}"
+        raise RecordingError(str(path), "", what, remedy=_CHECK)
     table = np.array([row.values for row in rows], dtype=np.float64)
     rebuilt = Recording(
         channels=channels,
