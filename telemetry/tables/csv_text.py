@@ -28,7 +28,9 @@ def read_text(content: bytes, source: str) -> RawTable:
         first = head.left_out[0]
         shown = found.separator.join(first.fields)[:40]
         count = len(head.left_out)
-        said.append(f"{count} {'line is' if count == 1 else 'lines are'} no data and left out: line {first.line}: {shown!r}")
+        said.append(
+            f"{count} {'line is' if count == 1 else 'lines are'} no data and left out: line {first.line}: {shown!r}"
+        )
     fields = _columns([row.fields for row in head.data], len(head.headings))
     lines = np.array([row.line for row in head.data], dtype=np.int64)
     columns, texts = [], {}
@@ -45,7 +47,7 @@ def read_text(content: bytes, source: str) -> RawTable:
 
 def unique(headings: Sequence[str], said: list[str]) -> list[str]:
     """Headings without repetitions; an empty one becomes columnN."""
-    names = [each.strip() or f"column{place + 1}" for place, each in enumerate(headings)]
+    names = [each.strip().strip("\"'") or f"column{place + 1}" for place, each in enumerate(headings)]
     counts, seen, found = Counter(names), Counter[str](), []
     for name in names:
         seen[name] += 1

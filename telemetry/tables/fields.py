@@ -17,11 +17,13 @@ from telemetry.tables.units import is_unit
 HOLES = frozenset(
     "|nan|-nan|+nan|nan(ind)|-nan(ind)|1.#qnan|-1.#qnan|1.#ind|-1.#ind|1.#inf|-1.#inf|na|n/a|#n/a|<na>|null|(null)|nil"
     "|none|nat|-|--|---|----|—|–|?|??|.|..|*|**|***|****|missing|undefined|undef|void|error|err|bad|invalid|overflow|ol"
-    "|over|#div/0!|#value!|#ref!|#num!|#name?|#null!|9.91e37|+9.91e37|9.91e+37|+9.91e+37|\\n|n.a.|k.a.|unknown".split("|")
+    "|over|#div/0!|#value!|#ref!|#num!|#name?|#null!|9.91e37|+9.91e37|9.91e+37|+9.91e+37|\\n|n.a.|k.a.|unknown".split(
+        "|"
+    )
 )
 """Spellings of a value that is not known, in lower case."""
 YES, NO = frozenset("true yes on ja wahr".split()), frozenset("false no off nein falsch".split())
-SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, 1e30, -1e30, 9.9e37, -9.9e37)
+SENTINELS = (9.91e37, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, 1e30, -1e30, 9.9e37, -9.9e37)
 """Numbers that loggers write for a value that is not known."""
 BEYOND = 10.0
 """Ratio of such a number to the largest other value from which on it is one of these."""
@@ -29,7 +31,9 @@ HALF = 0.5
 """Share of fields that must be numbers in a column of numbers."""
 
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?$")
-_BESIDE = re.compile(r"(?P<number>[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,;eE+-]\S*|[eE]\D\S*)$")
+_BESIDE = re.compile(
+    r"(?P<number>[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,;eE+-]\S*|[eE]\D\S*)$"
+)
 _CLOCK = r"(?P<hour>\d{1,3}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,:](?P<part>\d{1,9}))?)?"
 _ZONE = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 _HALF_DAY = r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
@@ -56,7 +60,7 @@ class Decimal:
 
     def plain(self, text: str) -> str:
         """`text` as Python writes numbers."""
-        text = text.strip().replace("\N{MINUS SIGN}", "-").replace("\xa0", " ").replace("\u202f", " ")
+        text = text.strip().strip("\"'").replace("\N{MINUS SIGN}", "-").replace("\xa0", " ").replace("\u202f", " ")
         if self.group:
             text = text.replace(self.group, "")
         if self.mark != ".":
@@ -149,7 +153,9 @@ def numbers(fields: Sequence[str], decimal: Decimal) -> Numbers:
         return _dates(fields, len(odd)) or Numbers(values, kind="text", odd=tuple(odd))
     kind = "yes or no" if truth > HALF * filled else "number"
     unit = units.most_common(1)[0][0] if sum(units.values()) > HALF * filled else ""
-    return Numbers(values, kind, unit, _exact(fields, decimal) if not (odd or holes) else None, tuple(odd), _sentinels(values))
+    return Numbers(
+        values, kind, unit, _exact(fields, decimal) if not (odd or holes) else None, tuple(odd), _sentinels(values)
+    )
 
 
 def stamp_ns(text: str) -> int | None:
@@ -263,4 +269,3 @@ def _offset(zone: str | None) -> int:
         return 0
     digits = zone[1:].replace(":", "").ljust(4, "0")
     return (1 if zone[0] == "+" else -1) * 60 * (60 * int(digits[:2]) + int(digits[2:]))
-

@@ -12,8 +12,10 @@ from telemetry.tables.fields import is_hole, is_number
 from telemetry.tables.split import Row, Rows, split_line
 from telemetry.tables.units import is_unit
 
-COMMENTS = ("#", "%", "//", "!", "'", "*", ";")
-TYPES = frozenset("double float int long float32 float64 int32 int64 uint32 string text bool boolean datetime number".split())
+COMMENTS = ("#", "%", "//", "!", "*", ";")
+TYPES = frozenset(
+    "double float int long float32 float64 int32 int64 uint32 string text bool boolean datetime number".split()
+)
 SAMPLE = 60
 FEW = 12
 """Rows up to which all of a table are looked at."""
@@ -43,6 +45,7 @@ def head_of(found: Rows, source: str) -> Head:
     if width == 1:
         what = "holds no channels: there is one column only"
         raise RecordingError(source, "", what, remedy="Give a column of time, and one of numbers for each channel.")
+    least = max(2, width - _missing_at_the_end(rows, width))
     numeric = _numeric(rows, width, found)
     if not numeric:
         remedy = "Give a table with one row for each instant: a column of time, and one of numbers for each channel."
@@ -52,20 +55,30 @@ def head_of(found: Rows, source: str) -> Head:
         fields = [row.fields[place].strip() if place < len(row.fields) else "" for place in numeric]
         known = [each for each in fields if not is_hole(each)]
         good = sum(is_number(each, found.decimal) for each in known)
-        return len(row.fields) > 1 and good > 0 and 2 * good >= len(known)
+        return len(row.fields) >= least and good > 0 and 2 * good >= len(known)
 
-    begin = next((place for place, row in enumerate(rows) if is_data(row) and not _is_comment(row)), None)
+    def begins(row: Row) -> bool:
+        # In a line above, a number may stand beside its name.
+        first = row.fields[numeric[0]] if numeric[0] < len(row.fields) else ""
+        return is_data(row) and not _is_comment(row) and (is_hole(first) or is_number(first, found.decimal))
+
+    begin = next((place for place, row in enumerate(rows) if begins(row)), None)
     if begin is None:
         remedy = "Give a table with one row for each instant: a column of time, and one of numbers for each channel."
         raise RecordingError(source, "", "has no rows of numbers", remedy=remedy)
     said: list[str] = []
-    headings, units, used = _above(rows[:begin], width, found.separator, said)
+    headings, units, used = _above(rows[:begin], width, found, said)
+    above = [each for each in rows[begin - 1].fields if each.strip()] if begin else []
+    if not headings and 2 * len(above) == width and not any(is_number(each, found.decimal) for each in above):
+        what = f"has {len(above)} headings for {width} columns"
+        remedy = "If the decimal mark is a comma, separate fields by semicolons, or put them in quotes."
+        raise RecordingError(source, f"line {rows[begin].line}", what, remedy=remedy)
     comments = begin - used
     if comments:
         said.append(f"{comments} {'line' if comments == 1 else 'lines'} above the table left out")
     data, left_out, truncated = [], [], ""
     for place, row in enumerate(rows[begin:], begin):
-        if is_data(row) and len(row.fields) >= width - _missing_at_the_end(rows, width):
+        if is_data(row):
             data.append(row)
         elif place == len(rows) - 1 and len(row.fields) < width:
             truncated = f"line {row.line} is cut off and was left out"
@@ -103,7 +116,7 @@ def _numeric(rows: Sequence[Row], width: int, found: Rows) -> list[int]:
     for place in range(width):
         known = [row.fields[place].strip() for row in half if place < len(row.fields)]
         known = [each for each in known if not is_hole(each)]
-        if known and 2 * sum(is_number(each, found.decimal) for each in known) > len(known):
+        if known and 2 * sum(is_number(each, found.decimal) for each in known) >= len(known):
             places.append(place)
     return places
 
@@ -113,14 +126,14 @@ def _is_comment(row: Row) -> bool:
 
 
 def _above(
-    rows: Sequence[Row], width: int, separator: str, said: list[str]
+    rows: Sequence[Row], width: int, found: Rows, said: list[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...], int]:
     """Headings and units from the rows above the data, and how many rows these are."""
-    candidates = [fields for row in rows if (fields := _heading(row, width, separator))]
+    candidates = [fields for row in rows if (fields := _heading(row, width, found.separator))]
     candidates = [each for each in candidates if not {field.lower() for field in each if field} <= TYPES]
     if not candidates:
         return (), (), 0
-    units = [place for place, each in enumerate(candidates) if _is_units(each)]
+    units = [place for place, each in enumerate(candidates) if _is_units(each, found)]
     if units and (names := [place for place in range(len(candidates)) if place not in units]):
         at = units[-1]
         before = [place for place in names if place < at]
@@ -132,7 +145,7 @@ def _above(
 
 def _heading(row: Row, width: int, separator: str) -> tuple[str, ...]:
     """The fields of a row that may be headings, () if it is none: a comment sign before them is left out."""
-    fields = [each.strip().strip('"') for each in row.fields]
+    fields = [each.strip().strip("\"'") for each in row.fields]
     commented = next((sign for sign in COMMENTS if fields[0].startswith(sign)), "")
     if commented:
         # A column of ROS is called %time.
@@ -153,12 +166,15 @@ def _heading(row: Row, width: int, separator: str) -> tuple[str, ...]:
     return tuple(fields)
 
 
-def _is_units(fields: Sequence[str]) -> bool:
-    filled = [each for each in fields if each.strip()]
+def _is_units(fields: Sequence[str], found: Rows) -> bool:
+    """Whether the words of a row are units: all of them, or most of them if there are several."""
+    filled = [each for each in fields if each.strip() and (is_unit(each) or not is_number(each, found.decimal))]
     enclosed = [each for each in filled if re.fullmatch(r"[\[(].*[\])]", each.strip())]
     known = [each for each in filled if is_unit(each)]
-    return bool(filled) and (len(known) == len(filled) or (len(enclosed) == len(filled) and bool(known))) or (
-        len(filled) > 2 and 2 * len(known) > len(filled) and all(len(each) < 12 for each in filled)
+    return (
+        bool(filled)
+        and (len(known) == len(filled) or (len(enclosed) == len(filled) and bool(known)))
+        or (len(filled) > 2 and 2 * len(known) > len(filled) and all(len(each) < 12 for each in filled))
     )
 
 
@@ -169,7 +185,9 @@ def _fitted(
     if not headings:
         said.append("no headings: the columns are called column1, column2, ...")
         return tuple(f"column{place + 1}" for place in range(width)), False, data
-    longer = [row for row in data if len(row.fields) > len(headings) and any(map(str.strip, row.fields[len(headings) :]))]
+    longer = [
+        row for row in data if len(row.fields) > len(headings) and any(map(str.strip, row.fields[len(headings) :]))
+    ]
     if not longer:
         return headings, False, data
     if 2 * len(longer) > len(data):

@@ -83,7 +83,9 @@ def said_of(maps: Iterable[str], assumes: Iterable[str], columns: Mapping[str, S
     for text in maps:
         name, _, column = text.partition("=")
         if not (name.strip() and column.strip()):
-            raise MappingError(f"--map {text}", "is not CHANNEL=COLUMN", remedy="Write --map angle=pos:deg, for example.")
+            raise MappingError(
+                f"--map {text}", "is not CHANNEL=COLUMN", remedy="Write --map angle=pos:deg, for example."
+            )
         found.update((_column(f"--map {text}", name, column),))
     said = Said(found)
     for text in assumes:

@@ -29,7 +29,9 @@ class Matched:
     values: NDArray[np.float64]
 
 
-def matched(table: RawTable, wanted: Sequence[Wanted], user: Said, times: Sequence[str]) -> tuple[list[Matched], list[str]]:
+def matched(
+    table: RawTable, wanted: Sequence[Wanted], user: Said, times: Sequence[str]
+) -> tuple[list[Matched], list[str]]:
     """All columns but those of `times` as channels: the `wanted` ones under their names and in their units, the others
     under their own, in SI units. Raises RecordingError for a column that is not clear."""
     said: list[str] = []
@@ -157,7 +159,9 @@ def _to(wanted: Wanted, column: Column, table: RawTable, said: list[str]) -> tup
             said.append(f"{wanted.name}: g, converted to kg")
             return 1e-3 / own.factor, wanted.unit
         what = f"is in {column.unit} in the file, and in {wanted.unit} in the model"
-        remedy = f"Name its column: --map {wanted.name}=COLUMN, or state its unit: --assume {wanted.name}={wanted.unit}."
+        remedy = (
+            f"Name its column: --map {wanted.name}=COLUMN, or state its unit: --assume {wanted.name}={wanted.unit}."
+        )
         raise RecordingError(table.source, wanted.name, what, remedy=remedy.replace("N m", "Nm"))
     factor = found.factor / own.factor
     if factor != 1.0:

@@ -23,7 +23,11 @@ def with_one_clock(table: RawTable, wanted: Sequence[Wanted]) -> RawTable:
 
 def _of_clocks(table: RawTable) -> RawTable:
     bare = [re.sub(r"\s\(\d+\)$", "", column.heading).strip().lower() for column in table.columns]
-    places = [place for place, name in enumerate(bare) if bare.count(name) > 1 and is_time_name(table.columns[place].name.split(" (")[0])]
+    places = [
+        place
+        for place, name in enumerate(bare)
+        if bare.count(name) > 1 and is_time_name(table.columns[place].name.split(" (")[0])
+    ]
     if len(places) < 2 or places[0] != 0 or any(b - a < 2 for a, b in zip(places, places[1:], strict=False)):
         return table
     clocks = [table.columns[place] for place in places]

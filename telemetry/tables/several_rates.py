@@ -12,7 +12,10 @@ from telemetry.tables.stamps import STEP
 from telemetry.tables.wanted import Wanted
 
 TOGETHER = 0.5
-"""Share of the rows of the slowest measured channel in which all are known, below which a table has several rates."""
+"""Share of the rows in which the slowest measured channel is known, and of these rows in which all are, below which a
+table has several rates."""
+FASTER = 1.5
+"""Times as many commands as rows from which on a row has their mean, since none of them alone acts until the next."""
 
 
 def aligned(
@@ -21,7 +24,7 @@ def aligned(
     """The rows (n,) that are kept, and the channels (n,) that are needed in them.
 
     These are the rows of the slowest measured channel, which keep their instants. A command is held until the next one,
-    anything else is interpolated, though not over its gaps.
+    or is the mean until the next row if it is faster; anything else is interpolated, though not over its gaps.
     """
     needed = {each.name: each for each in wanted}
     known = {each.name: np.isfinite(each.values) for each in found if each.name in needed}
@@ -32,7 +35,8 @@ def aligned(
         return everything, {}, []
     slowest = min(measured, key=counts.__getitem__)
     together = int(np.count_nonzero(np.all(list(known.values()), axis=0)))
-    if together >= TOGETHER * counts[slowest]:
+    filled = int(np.count_nonzero(np.any(list(known.values()), axis=0)))
+    if together >= TOGETHER * counts[slowest] and counts[slowest] > TOGETHER * filled:
         return everything, {}, []
     rows = known[slowest]
     time, said, columns = ns.astype(np.float64), [], {}
@@ -42,6 +46,9 @@ def aligned(
         if needed[each.name].held:
             columns[each.name] = _held(each.values, known[each.name])
             how = "held"
+            if counts[each.name] > FASTER * counts[slowest]:
+                columns[each.name] = _mean(time, columns[each.name], rows)
+                how = "averaged"
         elif each.name != slowest:
             columns[each.name] = _between(time, each.values, known[each.name])
             how = "interpolated"
@@ -56,6 +63,16 @@ def aligned(
 def _held(values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
     last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
     return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
+
+
+def _mean(time: NDArray[np.float64], held: NDArray[np.float64], rows: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The mean of a held command from each of the `rows` to the next, in these rows."""
+    impulse = np.concatenate(([0.0], np.cumsum(np.nan_to_num(held[:-1]) * np.diff(time))))
+    at = np.flatnonzero(rows)
+    found = held.copy()
+    found[at[:-1]] = np.diff(impulse[at]) / np.diff(time[at])
+    found[at[:-1][~np.isfinite(held[at[:-1]])]] = np.nan
+    return found
 
 
 def _between(time: NDArray[np.float64], values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -105,10 +105,12 @@ def _in_order(found: Stamped, said: list[str]) -> Stamped:
     off = np.abs(order - np.arange(len(order)))
     ordered = np.diff(found.ns[order])
     between = ordered[ordered > 0]
-    if np.max(off) > NEAR or np.min(between, initial=0) < 0.3 * float(np.median(between)):
+    if np.max(off) > NEAR or float(np.min(between)) < 0.3 * float(np.median(between)):
         return found
     first = int(np.flatnonzero(off)[0])
-    said.append(_rows(int(np.count_nonzero(np.diff(found.ns) < 0)), "out of order", "sorted by time", found.lines[first]))
+    said.append(
+        _rows(int(np.count_nonzero(np.diff(found.ns) < 0)), "out of order", "sorted by time", found.lines[first])
+    )
     return found.at(order)
 
 
@@ -175,13 +177,15 @@ def _even(found: Stamped, said: list[str]) -> Stamped:
     if period == 0.0:
         return found.at(slice(0, 1))
     rows = np.arange(len(found), dtype=np.float64)
-    since = (found.ns - found.ns[0]).astype(np.float64)
-    if np.mean(same) > ROUNDED:
-        slope, begin = np.polyfit(rows, since, 1)
-        if np.ptp(since - begin - slope * rows) <= 1.5 * period:
-            said.append(f"time: rounded to {1e-9 * period:.4g} s: the rows are {1e-9 * slope:.6g} s apart on average, and evenly")
-            return replace(found, ns=found.ns[0] + np.round(slope * rows).astype(np.int64))
     starts = np.concatenate(([0], np.flatnonzero(~same) + 1))
+    since = (found.ns - found.ns[0]).astype(np.float64)
+    if np.mean(same) > ROUNDED and len(starts) > 2:
+        slope, begin = np.polyfit(rows[starts[1:]], since[starts[1:]], 1)
+        if np.ptp(since - begin - slope * rows) <= 1.5 * period:
+            said.append(
+                f"time: rounded to {1e-9 * period:.4g} s: the rows are {1e-9 * slope:.6g} s apart on average, and evenly"
+            )
+            return replace(found, ns=found.ns[0] + np.round(slope * rows).astype(np.int64))
     counts = np.diff(np.append(starts, len(since)))
     nexts = np.append(since[starts[1:]], since[-1] + period)
     spans = np.minimum(nexts - since[starts], STEP * period)

@@ -22,7 +22,14 @@ NAMES = (
     " ts clock tick ticks systime utc gps_time date"
 ).split()
 """Names of columns of time, in lower case; the first of them that a table has, if several are as fine."""
-IN_NAMES = {"millis": "ms", "micros": "us", "timeus": "us", "milliseconds": "ms", "microseconds": "us", "millisec": "ms"}
+IN_NAMES = {
+    "millis": "ms",
+    "micros": "us",
+    "timeus": "us",
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "millisec": "ms",
+}
 IN_NAMES |= {"nanoseconds": "ns", "timestamp_ns": "ns", "time_boot_ms": "ms"}
 EPOCH = (946_684_800.0, 4_102_444_800.0)
 """s since 1970: the years 2000 to 2100."""
@@ -51,7 +58,9 @@ def times_of(table: RawTable, user: Said) -> Times:
         spacing = factor_of(stated or "1")
         step = 1e9 * abs(spacing.factor) if spacing else 1e9
         ns = np.round(np.arange(len(table)) * step).astype(np.int64)
-        return Times(ns, np.ones(len(table), bool), (), 0.0, False, f"time: {step * 1e-9:g} s from row to row, as stated")
+        return Times(
+            ns, np.ones(len(table), bool), (), 0.0, False, f"time: {step * 1e-9:g} s from row to row, as stated"
+        )
     column = _asked(table, asked.column) if asked else _chosen(table)
     parts = _seconds_and_parts(table, column)
     if parts is not None and not stated:
@@ -70,7 +79,7 @@ def is_time_name(name: str) -> bool:
 
 
 def _rank(name: str) -> int | None:
-    bare = name.strip().strip("%#").strip().lower()
+    bare = re.sub(r"[\s_]+s$", "", name.strip().strip("%#").strip().lower())
     for each in (bare, bare.replace(" ", "_"), re.split(r"[./]", bare)[-1]):
         if each in NAMES:
             return NAMES.index(each)

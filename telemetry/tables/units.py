@@ -79,7 +79,22 @@ _SPELLINGS: dict[tuple[str, float], str] = {
 _UNITS = {word: Unit(si, factor) for (si, factor), words in _SPELLINGS.items() for word in words.split()}
 _BIG = {"MV": "V", "MN": "N", "MW": "W", "Mg": "kg"}
 """Spellings in which the case decides: a mega is no milli."""
-UNKNOWN = ("°c", "degc", "celsius", "°f", "degf", "count", "counts", "lsb", "digits", "ticks", "db", "wb", "a.u.", "pwm")
+UNKNOWN = (
+    "°c",
+    "degc",
+    "celsius",
+    "°f",
+    "degf",
+    "count",
+    "counts",
+    "lsb",
+    "digits",
+    "ticks",
+    "db",
+    "wb",
+    "a.u.",
+    "pwm",
+)
 """Units that are known to be units, but are not converted."""
 SUFFIXES = frozenset(
     "ms msec us µs usec ns nsec millis micros deg degs degree degrees rad rads mrad rpm dps degps radps rad_s deg_s mm cm"
@@ -97,7 +112,14 @@ def unit_of(text: str) -> Unit | None:
     text = text.strip().strip("[](){}").strip()
     if text in _BIG:
         return None
-    word = text.lower().replace("μ", "µ").replace("²", "2").replace("·", "*").replace("⋅", "*").replace("\N{DOT ABOVE}", "")
+    word = (
+        text.lower()
+        .replace("μ", "µ")
+        .replace("²", "2")
+        .replace("·", "*")
+        .replace("⋅", "*")
+        .replace("\N{DOT ABOVE}", "")
+    )
     word = re.sub(r"\s*([*/^.])\s*", r"\1", word)
     return _UNITS.get(word) or _UNITS.get(word.replace(" ", "")) or _UNITS.get(word.replace("**", "^"))
 
