@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from estimators.contract import Status
-from estimators.data.segments import AGREEMENT, DataError, channels_of
+from estimators.contract import EstimationError, Status
+from estimators.data.segments import AGREEMENT, DataError, channels_of, segments
+from estimators.data.time_scale import motion_time
 from estimators.readings.readings import Reading, readings
 from estimators.readings.score import Score, score
 from models.model import Model
+from models.natural_time import natural_time
+from telemetry.errors import RecordingError
 from telemetry.recording import Recording
-from telemetry.tables.mapping import Assumption
+from telemetry.tables.mapping import Assumption, factor_of
 
 DECISIVE = math.log(1e6)
 """Nats by which another reading must be better: odds of a million to one."""
@@ -53,8 +56,9 @@ class Question:
         """The finding, in words."""
         said = " and ".join(f"{each.channel} {each.words}" for each in self.together)
         other = "".join(f", or {each.channel} {each.words}" for each in self.instead)
-        better = "cannot be fitted as it is" if self.plain is None else f"fits by {self.best - self.plain:.0f} nats better so"
-        return f"the physics fits {said}{other}: the model {better}"
+        if self.plain is None:
+            return f"seems to have {said}{other}: as it is, the model cannot be fitted to it"
+        return f"seems to have {said}{other}: read so, the model fits better by {self.best - self.plain:.0f} nats"
 
     @property
     def remedy(self) -> str:
@@ -66,9 +70,7 @@ class Question:
 
     def error(self) -> DataError:
         """The question as the reason why a recording is not used."""
-        channel = self.together[0].channel
-        where = f"{self.source}: {'time' if channel == 'time' else f'channel {channel}'}"
-        return DataError(Status.BAD_DATA, where, self.what, remedy=self.remedy)
+        return DataError(Status.BAD_DATA, self.source, self.what, remedy=self.remedy)
 
 
 def question(
@@ -90,11 +92,14 @@ def _question(model: Model, recording: Recording, settled: Collection[str], supp
         return None
     part = _with_most_motion(recording, [each.name for each in model.outputs])
     plain = score(model, part, support)
-    before, now, taken = plain, part, []
+    off = _off(model, part, support)
+    before, now = plain, part
+    taken: list[Reading] = []
     instead: list[Reading] = []
     while len(taken) < MOST:
         known = {*settled, *(each.channel for each in taken)}
-        tried = [(found, each) for each in readings(model, now, known) if (found := score(model, each.of(now), support))]
+        possible = [each for each in readings(model, now, known) if each.channel != "time" or _nearer(each, off)]
+        tried = [(found, each) for each in possible if (found := score(model, each.of(now), support))]
         if before is not None and before.off > DECISIVE:
             tried += _factors(model, now, known, support)
         highest = max((found for found, _ in tried), key=lambda each: each.gain, default=None)
@@ -116,6 +121,22 @@ def _question(model: Model, recording: Recording, settled: Collection[str], supp
 
 def _better(one: Score, other: Score | None) -> bool:
     return other is None or (one.gain - other.gain) * min(one.rows, other.rows) > DECISIVE
+
+
+def _off(model: Model, recording: Recording, support: float | None) -> float | None:
+    """How many times slower than its natural time the model moves in `recording`; None if that is not known."""
+    natural = natural_time(model)
+    try:
+        moves = motion_time(model, segments(model, [recording], support=support))
+    except (EstimationError, RecordingError):
+        return None
+    return moves / natural if moves and natural else None
+
+
+def _nearer(reading: Reading, off: float | None) -> bool:
+    """Whether the model moves more nearly in its natural time if time is read so."""
+    unit = factor_of(reading.how.unit)
+    return off is None or unit is None or abs(math.log(off * unit.factor)) < abs(math.log(off))
 
 
 def _by_inputs(model: Model, recording: Recording, found: Score, support: float | None) -> bool:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import AssumeOption, FromOption, MapOption, RecordingsArgument, ToOption, VehicleOption
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
-from service.cli.inputs import fitting, load_recording, working
+from service.cli.inputs import fitting, load_recording, load_recordings, working
 from service.output import check_folder, live_estimates, page, print_json
 
-if TYPE_CHECKING:
-    pass
-
-Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
@@ -36,7 +33,7 @@ def register(app: typer.Typer) -> None:
 
 
 def identify(
-    recordings: Recordings,
+    recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
     method: Annotated[
         list[str] | None, typer.Option("--method", "-m", help="Method.", show_default="all, side by side")
@@ -59,9 +56,10 @@ def identify(
             "--truth", help="NAME=VALUE that is known to be true, as for a virtual vehicle.", show_default=False
         ),
     ] = None,
-    begin: Annotated[
-        float, typer.Option("--from", help="Use the recordings from this second on.", show_default="the beginning")
-    ] = 0.0,
+    begin: FromOption = 0.0,
+    end: ToOption = math.inf,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     report: Annotated[
         Path | None,
@@ -73,12 +71,15 @@ def identify(
 
     Ctrl-C ends the estimation and shows the results up to then.
     """
-    from math import inf, tau
+    from math import tau
 
     from estimators.identify.run import identify as run
     from estimators.identify.subject import NOTHING_OWN
+    from service.offline.diagnose import asked_of
     from service.offline.machine import is_of, support_of
-    from service.offline.models import identified_model
+    from service.offline.models import columns, identified_model
+    from service.offline.provenance import assumed
+    from telemetry.tables.mapping import said_of
     from vehicles import registry
     from vehicles.file import load
     from vehicles.load import refuse_loads
@@ -96,8 +97,11 @@ def identify(
 
         check_suffix(picture)
     check_folder(report)
-    loaded = [load_recording(path, vehicle).between(begin, inf) for path in recordings]
+    user = said_of(map_ or [], assume or [], columns(model))
+    loaded = load_recordings(recordings, file, [subject], user=user, begin=begin, end=end)
     refuse_loads(loaded)
+    if asked := asked_of(subject, loaded, user.assumed, support_of(subject, file)):
+        raise asked
     with fitting() as progress:
         document = run(
             loaded,
@@ -121,7 +125,7 @@ def identify(
         with working() as step:
             save_report(report, document, file, subject, recordings, loaded, known, step)
     if json:
-        print_json(document)
+        print_json({**document, "assumed": assumed(loaded)})
     else:
         from service.cli.pages.identify import print_methods
 
@@ -151,7 +155,7 @@ def truths(options: list[str]) -> dict[str, float]:
     return known
 
 
-def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
+def replay(recordings: RecordingsArgument, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again, with bit-identical results."""
     from service.offline.replay import replay as run
     from vehicles.file import load
@@ -170,16 +174,30 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="A recording or a raw CAN .log.")],
+    source: Annotated[Path, typer.Argument(help="A recording, a table of other origin, or a raw CAN .log.")],
     target: Annotated[
         Path, typer.Argument(help="A file; its suffix gives the format: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")
     ],
     vehicle: VehicleOption = "monocab",
+    map_: MapOption = None,
+    assume: AssumeOption = None,
 ) -> None:
-    """Write a recording in another format. All measured channels of a raw CAN log are reconstructed."""
-    from service.offline.replay import convert as run
+    """Write a recording in another format. All measured channels of a raw CAN log are reconstructed.
 
+    A table of any machine is read, and what was assumed is printed. If a logger began anew in it, the further parts are
+    written beside the first, as NAME-2.
+    """
+    from service.offline.replay import convert as run
+    from telemetry.tables.mapping import said_of
+    from vehicles.file import load
+
+    models = None if source.suffix == ".log" else ()
+    user = said_of(map_ or [], assume or [])
     with working() as step:
         step(f"writing {target.name}")
-        run(load_recording(source, vehicle, as_stamped=True), target)
-    page.print(f"{target}: {target.stat().st_size} bytes")
+        found = load_recordings([source], load(vehicle), models, user=user, as_stamped=True)
+        targets = [target, *(target.with_stem(f"{target.stem}-{place}") for place in range(2, len(found) + 1))]
+        for recording, path in zip(found, targets, strict=True):
+            run(recording, path)
+    for path in targets:
+        page.print(f"{path}: {path.stat().st_size} bytes")

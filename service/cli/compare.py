@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json as json_module
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import AssumeOption, FromOption, MapOption, RecordingsArgument, ToOption, VehicleOption
 from service.output import check_folder, page, people, print_json
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ CAD = "CAD"
 
 
 def compare(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
+    recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
     model: Annotated[
         list[str] | None,
@@ -31,6 +32,10 @@ def compare(
             show_default="the vehicle's with its CAD values",
         ),
     ] = None,
+    begin: FromOption = 0.0,
+    end: ToOption = math.inf,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="Picture of the overlay and of where the models fail: .png, .svg or .pdf."),
@@ -47,9 +52,13 @@ def compare(
     estimated from the recording.
     """
     from diagnosis.prediction.compare import compare as run
-    from service.cli.inputs import load_recording, working
+    from service.cli.inputs import load_recordings, working
     from service.cli.pages.compare import print_comparisons
+    from service.offline.diagnose import asked_of
     from service.offline.machine import name_of, support_of
+    from service.offline.models import columns
+    from service.offline.provenance import assumed
+    from telemetry.tables.mapping import said_of
     from vehicles.file import load
     from vehicles.load import with_load
     from vehicles.registry import recorded_loop
@@ -61,14 +70,20 @@ def compare(
     check_folder(report)
     file = load(vehicle)
     models = read_models(model or [], file)
+    user = said_of(
+        map_ or [], assume or [], {name: each for option in model or [] for name, each in columns(option).items()}
+    )
     subject = next(iter(models.values()))
     support = support_of(subject, file)
     answers = []
     pictures = []
     with working() as step:
-        for path in recordings:
+        loaded_all = load_recordings(recordings, file, list(models.values()), user=user, begin=begin, end=end)
+        if asked := asked_of(subject, loaded_all, user.assumed, support):
+            raise asked
+        for recording in loaded_all:
+            path = Path(recording.source)
             step(f"comparing: {path.name}")
-            recording = load_recording(path, vehicle)
             loop = recorded_loop(file, recording)
             loaded = {name: with_load(each, recording) for name, each in models.items()}
             found = run(loaded, [recording], support=support, loops=[loop], progress=step)
@@ -77,19 +92,22 @@ def compare(
                 from diagnosis.report.figures.comparison import save_comparison
 
                 step(f"drawing: {path.name}")
-                target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
+                target = picture if len(loaded_all) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
                 save_comparison(found, target)
                 pictures.append(target)
         if report is not None:
             from diagnosis.report import write_comparison
             from service.offline.provenance import provenance
 
-            origin = provenance(name_of(subject, file), recordings)
+            origin = provenance(name_of(subject, file), recordings, loaded_all)
             named = [(str(path), found) for path, found in answers]
             report.write_text(write_comparison(named, provenance=origin, progress=step), encoding="utf-8")
     if json:
         print_json(
-            {"models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found]}
+            {
+                "models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found],
+                "assumed": assumed(loaded_all),
+            }
         )
         return
     for path, found in answers:

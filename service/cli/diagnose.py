@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption
+from service.cli.arguments import AssumeOption, FromOption, MapOption, RecordingsArgument, ToOption, VehicleOption
 from service.output import page, print_json
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ DRAWING = 0.1
 
 
 def diagnose(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
+    recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
     model: Annotated[
         str | None,
@@ -41,12 +41,10 @@ def diagnose(
         list[str] | None,
         typer.Option("--also", help="Also look for an effect of your own (.toml, .py). May be repeated."),
     ] = None,
-    begin: Annotated[
-        float, typer.Option("--from", help="Use the recordings from this second on.", show_default="the beginning")
-    ] = 0.0,
-    end: Annotated[
-        float, typer.Option("--to", help="Use the recordings up to this second.", show_default="the end")
-    ] = math.inf,
+    begin: FromOption = 0.0,
+    end: ToOption = math.inf,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
     auto: Annotated[
         Path | None,
         typer.Option(
@@ -78,11 +76,12 @@ def diagnose(
     """
     from diagnosis.diagnose import Verdict
     from models.effects.catalogue import CATALOGUE
-    from service.cli.inputs import load_recording, share_done
-    from service.offline.diagnose import default_budget, diagnosed
+    from service.cli.inputs import load_recordings, share_done
+    from service.offline.diagnose import actuators_of, default_budget, diagnosed, to_be_completed
     from service.offline.machine import name_of
-    from service.offline.models import SUFFIXES, chosen_effect
+    from service.offline.models import SUFFIXES, chosen_effect, columns, written_columns
     from service.offline.provenance import provenance
+    from telemetry.tables.mapping import said_of
     from vehicles.file import load
 
     for target in (auto, report):
@@ -96,8 +95,10 @@ def diagnose(
     if own:
         candidates = [*(candidates if candidates is not None else CATALOGUE), *(given[name] for name in own)]
     from_files = {each.name: Path(name) for name, each in given.items() if name.endswith(SUFFIXES)}
-    loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
-    read = provenance("", recordings)  # now, since minutes later a file may have changed
+    user = said_of(map_ or [], assume or [], columns(model))
+    subject = to_be_completed(model, file)
+    loaded = load_recordings(recordings, file, [subject, *actuators_of(file, model)], user=user, begin=begin, end=end)
+    read = provenance("", recordings, loaded)  # now, since minutes later a file may have changed
     seconds = default_budget(loaded) if budget is None else budget
     with share_done(seconds) as progress:
         answer = diagnosed(
@@ -109,6 +110,7 @@ def diagnose(
             seconds=seconds,
             reserved=0.0 if report is None else DRAWING,
             begin=begin,
+            settled=user.assumed,
             progress=progress,
         )
         found, origin = answer.found, replace(read, vehicle=name_of(answer.model, file))
@@ -129,9 +131,9 @@ def diagnose(
     if auto is not None and found.revised is not None:
         from service.offline.trail import write_trail
 
-        write_trail(auto, found, answer.model, origin.hashes, from_files)
+        write_trail(auto, found, answer.model, origin.hashes, from_files, written_columns(model))
     if json:
-        print_json(found.to_json())
+        print_json({**found.to_json(), "assumed": read.assumed})
     else:
         from service.cli.pages.diagnose import print_diagnosis
 
@@ -140,7 +142,7 @@ def diagnose(
             page.print("\n" + "\n".join(f"Report: {path}" for path in pages))
         if auto is not None and found.revised is not None:
             page.print(f"\nModel: {auto}, with a record of all steps: {auto.with_suffix('.trail.json')}")
-    if found.verdict is Verdict.INSUFFICIENT_DATA:
+    if found.verdict is Verdict.INSUFFICIENT_DATA or not found.steps:
         raise typer.Exit(1)
 
 

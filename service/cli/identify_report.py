@@ -36,7 +36,7 @@ def save_report(
         truth=truth,
         comparisons=comparisons,
         why=why,
-        provenance=provenance(name_of(model, vehicle), list(paths)),
+        provenance=provenance(name_of(model, vehicle), list(paths), recordings),
         progress=step,
     )
     target.write_text(text, encoding="utf-8")

@@ -3,41 +3,78 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.markup import escape
+
 from service.output import people
 
 if TYPE_CHECKING:
+    from models.model import Model
     from telemetry.recording import Recording
+    from telemetry.tables.mapping import Said
+    from vehicles.file import VehicleFile
 
 
-def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
-    """Load a recording of any kind. A truncated file is read as far as possible, with a message; a fall gives one, too.
-
-    Jittering time stamps of samples that are equidistant are replaced by those of the sampling clock, unless
-    `as_stamped`: for commands that replay or convert a recording.
-    """
-    from estimators.data.segments import falls_at
-    from service.offline.replay import load as load_any
-    from telemetry.clock import with_regular_times
+def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False, user: Said | None = None) -> Recording:
+    """The recording of a vehicle in a file, the longest of several; the rest is as for `load_recordings`."""
     from vehicles.file import load
+
+    return max(load_recordings([path], load(vehicle), as_stamped=as_stamped, user=user), key=len)
+
+
+def load_recordings(
+    paths: Sequence[Path],
+    vehicle: VehicleFile,
+    models: Sequence[Model] | None = None,
+    *,
+    user: Said | None = None,
+    begin: float = 0.0,
+    end: float = math.inf,
+    as_stamped: bool = False,
+) -> list[Recording]:
+    """The recordings in files of any kind, from `begin` to `end` s, for `models` (by default those of the vehicle).
+
+    What was assumed to read a table of another origin is printed. A truncated file is read as far as possible, with a
+    message; a fall gives one, too. Jittering time stamps of samples that are equidistant are replaced by those of the
+    sampling clock, unless `as_stamped`: for commands that replay or convert a recording.
+    """
+    from service.offline.replay import load_all
+    from telemetry.clock import with_regular_times
+    from telemetry.tables.mapping import NOTHING
+
+    found: list[Recording] = []
+    for path in paths:
+        for recording in load_all(path, vehicle, models, user or NOTHING):
+            each = recording if as_stamped else with_regular_times(recording)
+            _print_read(each, path, vehicle, models)
+            found.append(each.between(begin, end))
+    return found
+
+
+def _print_read(recording: Recording, path: Path, vehicle: VehicleFile, models: Sequence[Model] | None) -> None:
+    """How the recording was read, and what limits its use."""
+    from estimators.data.segments import falls_at
+    from service.offline.machine import is_of
     from vehicles.registry import nominal_model
 
-    file = load(vehicle)
-    recording = load_any(path, file)
-    if not as_stamped:
-        recording = with_regular_times(recording)
+    if recording.assumed:
+        size = f"{len(recording)} samples, {recording.duration:.4g} s at {recording.rate:.4g} Hz"
+        people.print(escape(f"{recording.source}: {size}. Read so:"))
+        for each in recording.assumed:
+            people.print(escape(f"  {each}"))
     if recording.truncated:
-        people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
-    falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)
+        people.print(f"[yellow]{escape(f'{path}: {recording.truncated}')}[/yellow]")
+    if models is not None and not any(is_of(each, vehicle) for each in models):
+        return
+    falls = falls_at(nominal_model(vehicle.vehicle.kind), recording, vehicle.support)
     if falls is not None:
         why = recording.metadata.get("end_reason", "").rstrip(".")
         what = f"the vehicle falls {falls:.1f} s after the start{f' ({why})' if why else ''}. No fit uses the rest."
-        people.print(f"[yellow]{path}: {what}[/yellow]")
-    return recording
+        people.print(f"[yellow]{escape(f'{path}: {what}')}[/yellow]")
 
 
 @contextmanager

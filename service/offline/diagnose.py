@@ -8,15 +8,19 @@ named, reports effects that set in during the run.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
 from diagnosis.parts import diagnose_parts
 from diagnosis.prepare.actuator_samples import looked_at
 from estimators.budget import Budget, OutOfTime
+from estimators.data.segments import DataError
+from estimators.readings.question import question
 from models.effect import Effect
 from models.model import Model
 from service.offline.machine import is_of, support_of
@@ -66,6 +70,7 @@ def diagnosed(
     seconds: float | None = None,
     reserved: float = 0.0,
     begin: float = 0.0,
+    settled: Collection[str] = (),
     progress: Progress | None = None,
 ) -> Diagnosed:
     """Find what the model of `vehicle`, or a `model` file, lacks to explain `recordings`.
@@ -73,8 +78,9 @@ def diagnosed(
     The last of several recordings is held out for validation, or each third of a single one in turn. `candidates` are
     the effects to look for, the whole catalogue by default; at most `most` of them are added. `seconds` is the time
     limit, `math.inf` for none, of which a share is `reserved` for later work; by default BUDGET, proportionally more
-    for over ROWS samples. `begin` s: the recordings were cut off before it, for messages. `progress` gets the current
-    step and the share that is done.
+    for over ROWS samples. `begin` s: the recordings were cut off before it, for messages. `settled`: channels of tables
+    of another origin whose unit and sign are not questioned (estimators.readings). `progress` gets the current step and
+    the share that is done.
     Raises ModelError and EstimationError for an invalid model or name, RecordingError for a recording with a load among
     several; unusable data give a verdict.
     """
@@ -85,11 +91,15 @@ def diagnosed(
         nominal = with_load(nominal, recordings[0])
     else:
         refuse_loads(recordings)
-    actuators = registry.models_of(vehicle).actuators if model is None else ()
+    actuators = actuators_of(vehicle, model)
     seconds = default_budget(recordings) if seconds is None else seconds
     whole = Budget.of(None if math.isinf(seconds) else seconds * (1.0 - reserved))
+    report("checking how the tables are to be read", 0.0)
+    if asked := asked_of(nominal, recordings, settled, support):
+        found = Diagnosis(Verdict.INSUFFICIENT_DATA, str(asked))
+        return Diagnosed(found, nominal, support, seconds, (Part(found, nominal, recordings),))
     way = partial(diagnose_parts, nominal, actuators) if actuators else partial(diagnose, nominal)
-    found = way(
+    found = np.errstate(all="ignore")(way)(  # a model that diverges in a trial is a trial that failed
         recordings,
         support=support,
         candidates=candidates,
@@ -119,6 +129,15 @@ def diagnosed(
     return Diagnosed(found, nominal, support, seconds, completed)
 
 
+def asked_of(
+    model: Model, recordings: Sequence[Recording], settled: Collection[str] = (), support: float | None = None
+) -> DataError | None:
+    """The question that a table of another origin raises (estimators.readings); None for what the service recorded."""
+    tables = [each for each in recordings if "kind" not in each.metadata]
+    asked = question(model, tables, settled, support) if tables else None
+    return asked.error() if asked else None
+
+
 def to_be_completed(name: str | None, vehicle: VehicleFile) -> Model:
     """The model `name`, or the vehicle's own without the effects that identification assumes: the diagnosis has to find
     these."""
@@ -126,6 +145,11 @@ def to_be_completed(name: str | None, vehicle: VehicleFile) -> Model:
     for attached in model.effects if name is None else ():
         model = model.remove(attached.name)
     return model
+
+
+def actuators_of(vehicle: VehicleFile, model: str | None) -> tuple[Model, ...]:
+    """The models of the vehicle's actuators, which are diagnosed with its own model."""
+    return tuple(registry.models_of(vehicle).actuators) if model is None else ()
 
 
 def default_budget(recordings: Sequence[Recording]) -> float:

@@ -17,14 +17,19 @@ from vehicles.load import without_load
 
 
 def write_trail(
-    target: Path, found: Diagnosis, nominal: Model, hashes: Mapping[str, str], own: Mapping[str, Path]
+    target: Path,
+    found: Diagnosis,
+    nominal: Model,
+    hashes: Mapping[str, str],
+    own: Mapping[str, Path],
+    columns: Mapping[str, str] | None = None,
 ) -> None:
     """Write the revised model to `target`, with its history, and all steps to `target` with the suffix .trail.json.
 
     Effects missing in the vehicle's actuators are written to a separate model beside it, NAME-actuators.toml.
 
     `hashes`: SHA-256 of the recordings, by name. `own`: the files of effects of the user's own, by the effect's name.
-    Raises OSError and ModelError if the files cannot be written.
+    `columns`: the table [columns] of the model file. Raises OSError and ModelError if the files cannot be written.
     """
     assert found.revised is not None
     for part in found.parts[1:]:
@@ -48,6 +53,6 @@ def write_trail(
     model = replace(without_load(found.revised), name=target.stem)
     there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}
     files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
-    write(ModelFile(model=model, history=history, effect_files=files), target)
+    write(ModelFile(model=model, history=history, effect_files=files, columns=columns or {}), target)
     document = {"date": date, "model": nominal.name, "recordings": dict(hashes), **found.to_json()}
     target.with_suffix(".trail.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

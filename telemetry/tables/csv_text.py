@@ -9,7 +9,7 @@ import numpy as np
 
 from telemetry.tables.decoded import decoded
 from telemetry.tables.fields import Decimal, numbers
-from telemetry.tables.head import head_of
+from telemetry.tables.head import counts_up, head_of
 from telemetry.tables.raw import Column, RawTable
 from telemetry.tables.split import rows_of
 from telemetry.tables.units import name_and_unit
@@ -35,6 +35,9 @@ def read_text(content: bytes, source: str) -> RawTable:
     lines = np.array([row.line for row in head.data], dtype=np.int64)
     columns, texts = [], {}
     for place, heading in enumerate(unique(head.headings, said)):
+        if _is_index(head.headings[place], fields[place]):
+            said.append(f"column {place + 1} counts the rows and is left out")
+            continue
         name, unit = name_and_unit(heading)
         column = _column(heading, name, head.units[place] or unit, fields[place], found.decimal, lines, said)
         if column is not None:
@@ -43,6 +46,12 @@ def read_text(content: bytes, source: str) -> RawTable:
             texts[heading] = tuple(each.strip() for each in fields[place])
     truncated = head.truncated
     return RawTable(source, tuple(columns), lines, texts, {}, tuple(said), truncated)
+
+
+def _is_index(heading: str, fields: Sequence[str]) -> bool:
+    """Whether a column without a heading of its own counts the rows, as pandas and R write it."""
+    named = heading.strip() and not heading.startswith("Unnamed") and heading.lower() != "index"
+    return not named and counts_up(fields)
 
 
 def unique(headings: Sequence[str], said: list[str]) -> list[str]:

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from telemetry.tables.units import is_unit
 
-HOLES = frozenset(
-    "|nan|-nan|+nan|nan(ind)|-nan(ind)|1.#qnan|-1.#qnan|1.#ind|-1.#ind|1.#inf|-1.#inf|na|n/a|#n/a|<na>|null|(null)|nil"
-    "|none|nat|-|--|---|----|—|–|?|??|.|..|*|**|***|****|missing|undefined|undef|void|error|err|bad|invalid|overflow|ol"
-    "|over|#div/0!|#value!|#ref!|#num!|#name?|#null!|9.91e37|+9.91e37|9.91e+37|+9.91e+37|\\n|n.a.|k.a.|unknown".split(
-        "|"
-    )
+_HOLES_TEXT = (
+    "|nan|-nan|+nan|nan(ind)|-nan(ind)|1.#qnan|-1.#qnan|1.#ind|-1.#ind|1.#inf|-1.#inf|na|n/a|#n/a|<na>"
+    "|null|(null)|nil|none|nat|-|--|---|----|—|–|?|??|.|..|*|**|***|****|missing|undefined|undef|void"
+    "|error|err|bad|invalid|overflow|ol|over|#div/0!|#value!|#ref!|#num!|#name?|#null!|9.91e37|+9.91e37"
+    "|9.91e+37|+9.91e+37|\\n|n.a.|k.a.|unknown"
 )
+HOLES = frozenset(_HOLES_TEXT.split("|"))
 """Spellings of a value that is not known, in lower case."""
-YES, NO = frozenset("true yes on ja wahr".split()), frozenset("false no off nein falsch".split())
+YES, NO = frozenset(["true", "yes", "on", "ja", "wahr"]), frozenset(["false", "no", "off", "nein", "falsch"])
 SENTINELS = (9.91e37, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, 1e30, -1e30, 9.9e37, -9.9e37)
 """Numbers that loggers write for a value that is not known."""
 BEYOND = 10.0
@@ -47,7 +47,7 @@ _DATES = (
 _STAMPS = tuple(re.compile(rf"{each}(?:[T ,_]+\s*{_CLOCK}{_HALF_DAY}{_ZONE})?$") for each in _DATES)
 _TIME_OF_DAY = re.compile(rf"(?:(?P<days>\d+) days? )?{_CLOCK}{_HALF_DAY}{_ZONE}$")
 _MINUTES = re.compile(r"(?P<minute>\d{1,3}):(?P<second>\d{2})[.,](?P<part>\d{1,9})$")
-_MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()
+_MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _EPOCH = date(1970, 1, 1).toordinal()
 
 
@@ -106,7 +106,7 @@ def decimal_of(fields: Sequence[str], separator: str) -> Decimal:
         return Decimal(",", ".") if several else Decimal()
     both = [each for each in comma if "." in each and re.fullmatch(r"[+-]?[\d.,]+", each)]
     if both:
-        last = Counter(max(each, key=lambda mark, text=each: text.rfind(mark) if mark in ".," else -1) for each in both)
+        last = Counter("," if each.rfind(",") > each.rfind(".") else "." for each in both)
         return Decimal(",", ".") if last[","] > last["."] else Decimal(".", ",")
     plain = [each for each in comma if re.fullmatch(r"[+-]?\d+(,\d+)+([eE][+-]?\d+)?", each)]
     grouped = [each for each in plain if re.fullmatch(r"[+-]?[1-9]\d{0,2}(,\d{3})+", each)]
@@ -123,13 +123,13 @@ def numbers(fields: Sequence[str], decimal: Decimal) -> Numbers:
         if found is not None:
             return found
     values = np.full(len(fields), nan)
-    known: dict[str, float | None] = {}
+    known: dict[str, float] = {}
     units: Counter[str] = Counter()
     odd: list[tuple[int, str]] = []
     truth = holes = 0
     for row, field in enumerate(fields):
-        if field in known and known[field] is not None:
-            values[row] = known[field]  # type: ignore[assignment]
+        if field in known:
+            values[row] = known[field]
             continue
         text = field.strip()
         if is_hole(text):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -13,9 +14,8 @@ from telemetry.tables.split import Row, Rows, split_line
 from telemetry.tables.units import is_unit
 
 COMMENTS = ("#", "%", "//", "!", "*", ";")
-TYPES = frozenset(
-    "double float int long float32 float64 int32 int64 uint32 string text bool boolean datetime number".split()
-)
+_TYPES_TEXT = "double float int long float32 float64 int32 int64 uint32 string text bool boolean datetime number"
+TYPES = frozenset(_TYPES_TEXT.split())
 SAMPLE = 60
 FEW = 12
 """Rows up to which all of a table are looked at."""
@@ -171,10 +171,8 @@ def _is_units(fields: Sequence[str], found: Rows) -> bool:
     filled = [each for each in fields if each.strip() and (is_unit(each) or not is_number(each, found.decimal))]
     enclosed = [each for each in filled if re.fullmatch(r"[\[(].*[\])]", each.strip())]
     known = [each for each in filled if is_unit(each)]
-    return (
-        bool(filled)
-        and (len(known) == len(filled) or (len(enclosed) == len(filled) and bool(known)))
-        or (len(filled) > 2 and 2 * len(known) > len(filled) and all(len(each) < 12 for each in filled))
+    return (bool(filled) and (len(known) == len(filled) or (len(enclosed) == len(filled) and bool(known)))) or (
+        len(filled) > 2 and 2 * len(known) > len(filled) and all(len(each) < 12 for each in filled)
     )
 
 
@@ -192,8 +190,7 @@ def _fitted(
         return headings, False, data
     if 2 * len(longer) > len(data):
         counts = [row.fields[0].strip() for row in data[:SAMPLE]]
-        if len(headings) == width - 1 and _counts(counts):
-            said.append("the first column has no heading: it counts the rows, and is left out")
+        if len(headings) == width - 1 and counts_up(counts):
             return ("", *headings), True, data
         what = f"has {len(headings)} headings for {width} columns"
         remedy = "Give each column one heading; if the decimal mark is a comma, separate by semicolons."
@@ -201,9 +198,10 @@ def _fitted(
     return headings, False, [row for row in data if row not in longer]
 
 
-def _counts(fields: Sequence[str]) -> bool:
+def counts_up(fields: Sequence[str]) -> bool:
+    """Whether fields are whole numbers, each one more than that before."""
     try:
         whole = [int(each.strip('"')) for each in fields]
     except ValueError:
         return False
-    return len(whole) > 1 and all(b - a == 1 for a, b in zip(whole, whole[1:], strict=False))
+    return len(whole) > 1 and all(b - a == 1 for a, b in itertools.pairwise(whole))

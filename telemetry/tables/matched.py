@@ -82,9 +82,9 @@ def _source(table: RawTable, rest: Sequence[Column], wanted: Wanted, user: Said)
         if found:
             return found[0]
     if asked:
-        there = [column.heading for column in rest]
-        near = difflib.get_close_matches(name, there, n=1)
-        what = f"there is no column {name!r}; there are {', '.join(there)}"
+        headings = [column.heading for column in rest]
+        near = difflib.get_close_matches(name, headings, n=1)
+        what = f"there is no column {name!r}; there are {', '.join(headings)}"
         remedy = f"Is it {near[0]!r}?" if near else f"Name one of these: --map {wanted.name}=COLUMN."
         raise RecordingError(table.source, wanted.name, what, remedy=remedy)
     return None

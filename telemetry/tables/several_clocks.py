@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,7 +29,7 @@ def _of_clocks(table: RawTable) -> RawTable:
         for place, name in enumerate(bare)
         if bare.count(name) > 1 and is_time_name(table.columns[place].name.split(" (")[0])
     ]
-    if len(places) < 2 or places[0] != 0 or any(b - a < 2 for a, b in zip(places, places[1:], strict=False)):
+    if len(places) < 2 or places[0] != 0 or any(b - a < 2 for a, b in itertools.pairwise(places)):
         return table
     clocks = [table.columns[place] for place in places]
     if all(np.array_equal(each.values, clocks[0].values, equal_nan=True) for each in clocks):

@@ -41,10 +41,8 @@ def rows_of(text: str, source: str) -> Rows:
     lines = text.split("\n")
     said: list[str] = []
     first, given = 0, ""
-    if (
-        lines
-        and (found := re.match(r'"?sep=(.)"?$', lines[0].strip("\ufeff \t"), re.IGNORECASE))
-        or (lines and lines[0].strip() == "sep=")
+    if (lines and (found := re.match(r'"?sep=(.)"?$', lines[0].strip("\ufeff \t"), re.IGNORECASE))) or (
+        lines and lines[0].strip() == "sep="
     ):
         given, first = found[1] if found else "\t", 1
     filled = [number for number in range(first, len(lines)) if lines[number].strip(" \t,;|\x1a\x1b")]

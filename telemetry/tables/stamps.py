@@ -45,7 +45,7 @@ def mended(times: Times, values: NDArray[np.float64], lines: NDArray[np.int64]) 
     said: list[str] = []
     found = Stamped(times.ns, values, lines)
     if not times.known.all():
-        said.append(_rows(np.count_nonzero(~times.known), "without a time", "left out", lines[~times.known][0]))
+        said.append(_rows(int(np.count_nonzero(~times.known)), "without a time", "left out", lines[~times.known][0]))
         found = found.at(times.known)
     if len(found) < 2 or np.all(np.diff(found.ns) > 0):
         return ([_closed(found, said)] if len(found) else []), said
@@ -137,7 +137,7 @@ def _merged(found: Stamped, said: list[str]) -> Stamped:
             keep[row] = False
         else:
             last = row
-    if repeated and 2 * repeated > np.count_nonzero(same) or repeated and joined:
+    if (repeated and 2 * repeated > np.count_nonzero(same)) or (repeated and joined):
         said.append(f"{repeated} {'row is' if repeated == 1 else 'rows are'} repeated and left out")
     elif repeated:
         # At rest, values repeat while a rounded clock stands: these rows are samples like the others.
@@ -159,9 +159,8 @@ def _parts(found: Stamped, said: list[str]) -> list[Stamped]:
             continue
         back = float(ns[row - 1] - ns[row])
         ns[row:] += round(back + GAP * period)
-        said.append(
-            f"time: set back by {1e-9 * (back + period):.4g} s in line {found.lines[row]}: read as a gap of {GAP} samples"
-        )
+        by, line = 1e-9 * (back + period), found.lines[row]
+        said.append(f"time: set back by {by:.4g} s in line {line}: read as a gap of {GAP} samples")
     moved = replace(found, ns=ns)
     return [moved.at(slice(a, b)) for a, b in zip(begins, [*begins[1:], len(ns)], strict=True)]
 
@@ -182,9 +181,8 @@ def _even(found: Stamped, said: list[str]) -> Stamped:
     if np.mean(same) > ROUNDED and len(starts) > 2:
         slope, begin = np.polyfit(rows[starts[1:]], since[starts[1:]], 1)
         if np.ptp(since - begin - slope * rows) <= 1.5 * period:
-            said.append(
-                f"time: rounded to {1e-9 * period:.4g} s: the rows are {1e-9 * slope:.6g} s apart on average, and evenly"
-            )
+            apart = f"the rows are {1e-9 * slope:.6g} s apart on average, and evenly"
+            said.append(f"time: rounded to {1e-9 * period:.4g} s: {apart}")
             return replace(found, ns=found.ns[0] + np.round(slope * rows).astype(np.int64))
     counts = np.diff(np.append(starts, len(since)))
     nexts = np.append(since[starts[1:]], since[-1] + period)
@@ -208,7 +206,6 @@ def _closed(found: Stamped, said: list[str]) -> Stamped:
         return found
     ns = found.ns.copy()
     ns[longest + 1 :] -= round(steps[longest] - GAP * period)
-    said.append(
-        f"time: set forward by {1e-9 * steps[longest]:.4g} s in line {found.lines[longest + 1]}: read as a gap of {GAP} samples"
-    )
+    by, line = 1e-9 * steps[longest], found.lines[longest + 1]
+    said.append(f"time: set forward by {by:.4g} s in line {line}: read as a gap of {GAP} samples")
     return replace(found, ns=ns)

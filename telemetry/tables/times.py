@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,22 +14,17 @@ from telemetry.tables.mapping import ROW, Said, factor_of
 from telemetry.tables.raw import Column, RawTable
 from telemetry.tables.units import Unit, unit_of
 
-NAMES = (
-    "timestamp_ns time __time t timestamp time_stamp _time datetime date_time elapsed elapsed_time time_elapsed rel_time"
-    " relative_time seconds second secs sec s millis micros millisec milliseconds microseconds nanoseconds ms us ns"
-    " timestamp_s time_boot_ms timeus rosbagtimestamp x_value x-value x zeit zeitstempel uhrzeit temps tiempo tempo stamp"
-    " ts clock tick ticks systime utc gps_time date"
-).split()
+_NAMES_TEXT = (
+    "timestamp_ns time __time t timestamp time_stamp _time datetime date_time elapsed elapsed_time"
+    " time_elapsed rel_time relative_time seconds second secs sec s millis micros millisec milliseconds"
+    " microseconds nanoseconds ms us ns timestamp_s time_boot_ms timeus rosbagtimestamp x_value x-value x"
+    " zeit zeitstempel uhrzeit temps tiempo tempo stamp ts clock tick ticks systime utc gps_time date"
+)
+NAMES = tuple(_NAMES_TEXT.split())
 """Names of columns of time, in lower case; the first of them that a table has, if several are as fine."""
-IN_NAMES = {
-    "millis": "ms",
-    "micros": "us",
-    "timeus": "us",
-    "milliseconds": "ms",
-    "microseconds": "us",
-    "millisec": "ms",
-}
-IN_NAMES |= {"nanoseconds": "ns", "timestamp_ns": "ns", "time_boot_ms": "ms"}
+_WORDS = {"ms": "millis milliseconds millisec time_boot_ms", "us": "micros timeus microseconds", "ns": "nanoseconds"}
+IN_NAMES = {word: unit for unit, words in _WORDS.items() for word in words.split()} | {"timestamp_ns": "ns"}
+"""Names of columns of time that state their unit."""
 EPOCH = (946_684_800.0, 4_102_444_800.0)
 """s since 1970: the years 2000 to 2100."""
 _SECONDS, _PARTS = ("sec", "secs", "seconds"), {"nsec": 1, "nsecs": 1, "nanosec": 1, "nanoseconds": 1, "usec": 1000}
@@ -194,8 +188,3 @@ def _seconds_and_parts(table: RawTable, column: Column) -> Times | None:
                 said = f"time: columns {seconds.heading} and {part.heading}"
                 return Times(ns, np.ones(len(ns), bool), (seconds.heading, part.heading), 0.0, False, said)
     return None
-
-
-def rising(names: Sequence[str]) -> list[int]:
-    """The places of the columns of time among `names`."""
-    return [place for place, name in enumerate(names) if is_time_name(name)]

@@ -96,10 +96,11 @@ UNKNOWN = (
     "pwm",
 )
 """Units that are known to be units, but are not converted."""
-SUFFIXES = frozenset(
-    "ms msec us µs usec ns nsec millis micros deg degs degree degrees rad rads mrad rpm dps degps radps rad_s deg_s mm cm"
-    " um mm_s m_s cm_s kmh mps mv ma nm mnm sec secs seconds volts amps".split()
+_SUFFIXES_TEXT = (
+    "ms msec us µs usec ns nsec millis micros deg degs degree degrees rad rads mrad rpm dps degps radps"
+    " rad_s deg_s mm cm um mm_s m_s cm_s kmh mps mv ma nm mnm sec secs seconds volts amps"
 )
+SUFFIXES = frozenset(_SUFFIXES_TEXT.split())
 """Units that a name may end with after an underscore; those of one letter are rather a part of the name."""
 
 _ENCLOSED = re.compile(r"^(?P<name>.*?)\s*[\[({<](?P<unit>[^\[\](){}<>]*)[\])}>]\s*$")
@@ -130,7 +131,7 @@ def is_unit(text: str) -> bool:
 
 
 def name_and_unit(text: str) -> tuple[str, str]:
-    """A heading as its name and its unit, "" if it states none: `angle [deg]`, `angle (deg)`, `angle/°`, `angle_deg`."""
+    """A heading as its name and its unit, "" if none: `angle [deg]`, `angle/°`, `angle in deg`, `angle_deg`."""
     text = text.strip()
     if (found := _ENCLOSED.match(text)) and found["name"]:
         unit = found["unit"].strip()

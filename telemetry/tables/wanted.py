@@ -8,12 +8,11 @@ from dataclasses import dataclass
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """A channel that is needed: its `name` and `unit`. `measured`: an output of the model. `held`: a command that stays
-    until the next one. `usual`: its value if no column has it, None if it must be there. Of a `part` that a vehicle may
+    until the next one. Of a `part` that a vehicle may
     not have (a trim mass), all channels are at rest if none of them is there."""
 
     name: str
     unit: str = ""
     measured: bool = False
     held: bool = False
-    usual: float | None = None
     part: str = ""

@@ -152,8 +152,7 @@ def tidy() -> bytes:
 def own_clocks() -> bytes:
     """Each channel beside a time of its own; the angle at half the rate."""
     rows = [
-        f"{ROWS[i][0]},{ROWS[i][1]},{'%.4f,%s' % (i / 50, ROWS[2 * i][2]) if 2 * i < COUNT else ','}"
-        for i in range(COUNT)
+        f"{ROWS[i][0]},{ROWS[i][1]},{f'{i / 50:.4f},{ROWS[2 * i][2]}' if 2 * i < COUNT else ','}" for i in range(COUNT)
     ]
     return text(["Time,voltage,Time,angle", *rows])
 

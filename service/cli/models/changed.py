@@ -170,8 +170,9 @@ def drop_test(
     from models.file.model_file import read
     from service.cli.inputs import working
 
-    model, support = before_fits(read(file)), _support(vehicle)
-    loaded = [_load(path, vehicle) for path in recordings]
+    written = read(file)
+    model, support = before_fits(written), _support(vehicle)
+    loaded = [_load(path, vehicle, written) for path in recordings]
     with working() as step:
         tests = drop_tests(model, loaded, support=support, progress=lambda text, share: step(text))
     if json:
@@ -238,7 +239,7 @@ def _revise(
     from vehicles.load import refuse_loads
 
     support = _support(vehicle)
-    training, tried = ([_load(path, vehicle) for path in paths] for paths in (recordings, held_out))
+    training, tried = ([_load(path, vehicle, file) for path in paths] for paths in (recordings, held_out))
     refuse_loads((*training, *tried))
     with working() as step:
         return revise(
@@ -260,12 +261,18 @@ def _support(vehicle: str | None) -> float | None:
     return load(vehicle).support
 
 
-def _load(path: Path, vehicle: str | None) -> Recording:
+def _load(path: Path, vehicle: str | None, file: ModelFile) -> Recording:
     from service.cli.inputs import load_recording
+    from service.offline.wanted import wanted
     from telemetry.clock import with_regular_times
     from telemetry.storage import load
+    from telemetry.tables.mapping import columns_of, said_of
 
-    found = with_regular_times(load(path)) if vehicle is None else load_recording(path, vehicle)
+    user = said_of((), (), columns_of(file.columns))
+    if vehicle is None:
+        found = with_regular_times(load(path, wanted([file.model]), user))
+    else:
+        found = load_recording(path, vehicle, user=user)
     return replace(found, source=path.name)
 
 
