@@ -55,7 +55,7 @@ def compare(
     from service.cli.inputs import load_recordings, working
     from service.cli.pages.compare import print_comparisons
     from service.offline.diagnose import asked_of
-    from service.offline.machine import name_of, support_of
+    from service.offline.machine import is_of, name_of, support_of
     from service.offline.models import columns
     from service.offline.provenance import assumed
     from telemetry.tables.mapping import said_of
@@ -84,9 +84,9 @@ def compare(
         for recording in loaded_all:
             path = Path(recording.source)
             step(f"comparing: {path.name}")
-            loop = recorded_loop(file, recording)
+            loops = [recorded_loop(file, recording)] if is_of(subject, file) else []
             loaded = {name: with_load(each, recording) for name, each in models.items()}
-            found = run(loaded, [recording], support=support, loops=[loop], progress=step)
+            found = run(loaded, [recording], support=support, loops=loops, progress=step)
             answers.append((path, found))
             if picture is not None:
                 from diagnosis.report.figures.comparison import save_comparison

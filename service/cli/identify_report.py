@@ -9,7 +9,7 @@ from typing import Any
 from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import write_identification
 from models.model import Model
-from service.offline.machine import name_of, support_of
+from service.offline.machine import is_of, name_of, support_of
 from service.offline.provenance import provenance
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
@@ -59,7 +59,7 @@ def _compared(
     values = {name: each["value"] for name, each in found.items() if name in known and each["value"] is not None}
     models = {"CAD": model, best: model.change(values)}
     try:
-        loops = [recorded_loop(vehicle, recording) for recording in recordings]
+        loops = [recorded_loop(vehicle, each) for each in recordings] if is_of(model, vehicle) else []
         return compare(models, recordings, support=support_of(model, vehicle), loops=loops, progress=step), ""
     except UprightError as error:
         return [], f"The models could not be simulated with the recordings: {error}"

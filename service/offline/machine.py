@@ -32,7 +32,7 @@ def refuse_foreign(recording: Recording, vehicle: VehicleFile) -> None:
     if kind != vehicle.vehicle.kind and kind in registry.names():
         what = f"is a recording of a {kind}, not of {vehicle.vehicle.id}"
         raise RecordingError(recording.source, "", what, remedy=f"--vehicle {kind}, or the file of the vehicle.")
-    own = [each.name for each in table if each not in COMMON]
+    own = [each.name for each in table if each not in COMMON and not each.part]
     if not set(own) & set(recording.values):
         there = ", ".join(recording.channels.names)
         what = f"has no channel of a {vehicle.vehicle.kind}; there are {there}"

@@ -96,7 +96,9 @@ def _recording(
 
 
 def _at_rest(values: dict[str, np.ndarray], wanted: Sequence[Wanted], rows: int) -> tuple[list[Wanted], list[str]]:
-    """The channels of parts that the vehicle does not have."""
+    """The channels of parts that the vehicle does not have, if the table is of that vehicle."""
+    if not any(each.name in values for each in wanted if not each.part):
+        return [], []
     found, said = [], []
     for part in dict.fromkeys(each.part for each in wanted if each.part):
         channels = [each for each in wanted if each.part == part]
