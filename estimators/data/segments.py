@@ -62,6 +62,10 @@ class DataError(EstimationError):
         self.status = status
 
 
+class Contradiction(DataError):
+    """An angle and a rate that cannot both be what their names say."""
+
+
 def segments(
     model: Model, recordings: Sequence[Recording], *, support: float | None = None, longest: float | None = None
 ) -> list[Segment]:
@@ -282,7 +286,7 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
     if abs(together) > 0.5 and AGREEMENT[0] < factor < AGREEMENT[1]:
         return
     if abs(together) <= 0.5:
-        raise DataError(
+        raise Contradiction(
             Status.BAD_DATA,
             f"channel {rate}",
             f"is not the derivative of {angle} (correlation {together:.2f})",
@@ -290,7 +294,7 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
         )
     degrees = 0.5 < abs(factor) * np.pi / 180.0 < 2.0 or 0.5 < abs(factor) * 180.0 / np.pi < 2.0
     unit = "; one of them is in degrees" if degrees else ""
-    raise DataError(
+    raise Contradiction(
         Status.BAD_DATA,
         f"channel {rate}",
         f"is {factor:.3g} times the derivative of {angle}{unit}",

@@ -1,8 +1,9 @@
 """The reading of a table that fits the physics beyond doubt, if it is not the plain one: a question to its user.
 
-The plain reading is kept unless another one is DECISIVE better, predicts better than extrapolation, and does so by the
-model's inputs. If several things are wrong, the best reading is taken for granted, and the next one is sought, up to
-MOST. An effect that the model lacks is no reason for a question: it makes no unit fit better.
+The plain reading is kept unless an angle and its rate contradict each other in it, or another one is DECISIVE better,
+predicts better than extrapolation, and does so by the model's inputs. If several things are wrong, the best reading is
+taken for granted, and the next one is sought, up to MOST. An effect that the model lacks is no reason for a question:
+it makes no unit fit better.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from estimators.contract import EstimationError, Status
-from estimators.data.segments import AGREEMENT, DataError, channels_of, segments
+from estimators.data.segments import AGREEMENT, Contradiction, DataError, channels_of, segments
 from estimators.data.time_scale import motion_time
-from estimators.readings.readings import Reading, readings
+from estimators.readings.readings import Reading, one, readings
 from estimators.readings.score import Score, score
 from models.model import Model
 from models.natural_time import natural_time
@@ -35,8 +36,10 @@ MOST = 3
 """Things that may be wrong at once."""
 CHANCE = 0.01
 """Probability with which parameters are farther from their CAD values, of a reading that makes them fit."""
-FARTHEST = 1e4
-"""Largest factor of an input that is looked for."""
+DECADES = 4
+"""Powers of ten in either direction among which the factor of an input is looked for."""
+FEWER = 500
+"""Samples to which it is fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +57,8 @@ class Question:
     @property
     def what(self) -> str:
         """The finding, in words."""
-        said = " and ".join(f"{each.channel} {each.words}" for each in self.together)
-        other = "".join(f", or {each.channel} {each.words}" for each in self.instead)
+        said = " and ".join(each.words for each in self.together)
+        other = "".join(f", or {each.words}" for each in self.instead)
         if self.plain is None:
             return f"seems to have {said}{other}: as it is, the model cannot be fitted to it"
         return f"seems to have {said}{other}: read so, the model fits better by {self.best - self.plain:.0f} nats"
@@ -63,9 +66,10 @@ class Question:
     @property
     def remedy(self) -> str:
         """The options that make it so, and the one that insists."""
-        options = " ".join(each.option for each in self.together)
-        other = "".join(f", or {each.option}" for each in self.instead)
-        kept = " ".join(f"--assume {each.channel}={'s' if each.channel == 'time' else 1}" for each in self.together)
+        options = " ".join(each.options for each in self.together)
+        other = "".join(f", or {each.options}" for each in self.instead)
+        channels = dict.fromkeys(name for each in self.together for name in each.channels)
+        kept = " ".join(f"--assume {name}={'s' if name == 'time' else 1}" for name in channels)
         return f"{options}{other}; if it is right as it is: {kept}."
 
     def error(self) -> DataError:
@@ -92,13 +96,13 @@ def _question(model: Model, recording: Recording, settled: Collection[str], supp
         return None
     part = _with_most_motion(recording, [each.name for each in model.outputs])
     plain = score(model, part, support)
-    off = _off(model, part, support)
+    off, contradictory = _off(model, part, support)
     before, now = plain, part
     taken: list[Reading] = []
     instead: list[Reading] = []
     while len(taken) < MOST:
-        known = {*settled, *(each.channel for each in taken)}
-        possible = [each for each in readings(model, now, known) if each.channel != "time" or _nearer(each, off)]
+        known = {*settled, *(name for each in taken for name in each.channels)}
+        possible = [each for each in readings(model, now, known) if _nearer(each, off)]
         tried = [(found, each) for each in possible if (found := score(model, each.of(now), support))]
         if before is not None and before.off > DECISIVE:
             tried += _factors(model, now, known, support)
@@ -113,7 +117,10 @@ def _question(model: Model, recording: Recording, settled: Collection[str], supp
         instead = [each for _, each in others if each.named or not first.named]
         taken.append(first)
         before, now = best, read
-    if not taken or before is None or before.gain <= 0.0 or not _by_inputs(model, now, before, support):
+    if not taken or before is None:
+        return None
+    # What contradicts itself cannot stay as it is; anything else has to be predicted well in another way.
+    if not contradictory and not (before.gain > 0.0 and _by_inputs(model, now, before, support)):
         return None
     nats = None if plain is None else plain.gain * plain.rows
     return Question(recording.source, tuple(taken), tuple(instead), nats, before.gain * before.rows)
@@ -123,19 +130,22 @@ def _better(one: Score, other: Score | None) -> bool:
     return other is None or (one.gain - other.gain) * min(one.rows, other.rows) > DECISIVE
 
 
-def _off(model: Model, recording: Recording, support: float | None) -> float | None:
-    """How many times slower than its natural time the model moves in `recording`; None if that is not known."""
+def _off(model: Model, recording: Recording, support: float | None) -> tuple[float | None, bool]:
+    """How many times slower than its natural time the model moves in `recording`, None if that is not known; and
+    whether an angle and a rate contradict each other in it."""
     natural = natural_time(model)
     try:
         moves = motion_time(model, segments(model, [recording], support=support))
+    except Contradiction:
+        return None, True
     except (EstimationError, RecordingError):
-        return None
-    return moves / natural if moves and natural else None
+        return None, False
+    return (moves / natural if moves and natural else None), False
 
 
 def _nearer(reading: Reading, off: float | None) -> bool:
-    """Whether the model moves more nearly in its natural time if time is read so."""
-    unit = factor_of(reading.how.unit)
+    """Whether time is read as it is, or the model moves more nearly in its natural time if it is read so."""
+    unit = factor_of(dict(reading.changes).get("time", Assumption()).unit)
     return off is None or unit is None or abs(math.log(off * unit.factor)) < abs(math.log(off))
 
 
@@ -158,34 +168,47 @@ def _factors(
     A factor within AGREEMENT may be physics.
     """
     usual = 0.5 * float(chi2.isf(CHANCE, max(1, sum(1 for each in model.parameters if each.estimated and each.std))))
+    part = _rows(recording, slice(0, FEWER))
     found: list[tuple[Score, Reading]] = []
     for name in dict.fromkeys(each.channel for each in model.inputs if each.channel in recording.values):
-        if name in settled:
+        if name in settled or not np.nanstd(recording[name]) > 0.0:
             continue
 
-        for sign in (1.0, -1.0):
+        def roughly(factor: float, name: str = name) -> Score | None:
+            return score(model, _by_factor(name, factor).of(part), support)
 
-            def reading(logarithm: float, name: str = name, sign: float = sign) -> Reading:
-                factor = sign * float(f"{math.exp(logarithm):.4g}")
-                words = f"times {factor:.4g}, as in another unit or as a PWM count"
-                return Reading(name, Assumption(f"{factor:g}"), words, named=False)
+        def tried(factor: float, name: str = name) -> Score | None:
+            return score(model, _by_factor(name, factor).of(recording), support)
 
-            def cost(logarithm: float, reading: Callable[[float], Reading] = reading) -> float:
-                tried = score(model, reading(logarithm).of(recording), support)
-                return math.inf if tried is None else -tried.gain * tried.rows
-
-            grid = np.arange(-math.log(FARTHEST), math.log(FARTHEST) + 0.1, math.log(10.0))
-            costs = [cost(each) for each in grid.tolist()]
-            place = int(np.argmin(costs))
-            if not math.isfinite(costs[place]):
-                continue
-            ends = (grid[max(place - 1, 0)], grid[min(place + 1, len(grid) - 1)])
-            best = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-3, "maxiter": 20})
-            each = reading(float(best.x))
-            tried = score(model, each.of(recording), support)
-            if tried and tried.off < usual and (sign < 0.0 or not AGREEMENT[0] < math.exp(best.x) < AGREEMENT[1]):
-                found.append((tried, each))
+        factor = _factor(roughly, tried)
+        if factor is None or AGREEMENT[0] < factor < AGREEMENT[1]:
+            continue
+        best = tried(factor)
+        if best and best.off < usual:
+            found.append((best, _by_factor(name, factor)))
     return found
+
+
+def _by_factor(name: str, factor: float) -> Reading:
+    rounded = f"{factor:.4g}"
+    return one(name, Assumption(rounded), f"times {rounded}, as in another unit or as a PWM count", named=False)
+
+
+def _factor(roughly: Callable[[float], Score | None], tried: Callable[[float], Score | None]) -> float | None:
+    """The factor of either sign with the best score: the best power of ten by a few samples, then refined by all."""
+
+    def cost(logarithm: float, sign: float, tried: Callable[[float], Score | None] = tried) -> float:
+        found = tried(sign * math.exp(logarithm))
+        return math.inf if found is None else -found.gain * found.rows
+
+    grid = math.log(10.0) * np.arange(-DECADES, DECADES + 1.0)
+    costs = {(each, sign): cost(each, sign, roughly) for each in grid.tolist() for sign in (1.0, -1.0)}
+    middle, sign = min(costs, key=costs.__getitem__)
+    if not math.isfinite(costs[middle, sign]):
+        return None
+    ends = (middle - math.log(10.0), middle + math.log(10.0))
+    best = minimize_scalar(cost, args=(sign,), bounds=ends, method="bounded", options={"xatol": 1e-2, "maxiter": 15})
+    return sign * math.exp(float(best.x))
 
 
 def _with_most_motion(recording: Recording, outputs: Sequence[str]) -> Recording:

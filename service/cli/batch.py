@@ -100,7 +100,7 @@ def identify(
     user = said_of(map_ or [], assume or [], columns(model))
     loaded = load_recordings(recordings, file, [subject], user=user, begin=begin, end=end)
     refuse_loads(loaded)
-    if asked := asked_of(subject, loaded, user.assumed, support_of(subject, file)):
+    if asked := asked_of(subject, loaded, user.settled, support_of(subject, file)):
         raise asked
     with fitting() as progress:
         document = run(

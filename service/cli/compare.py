@@ -79,7 +79,7 @@ def compare(
     pictures = []
     with working() as step:
         loaded_all = load_recordings(recordings, file, list(models.values()), user=user, begin=begin, end=end)
-        if asked := asked_of(subject, loaded_all, user.assumed, support):
+        if asked := asked_of(subject, loaded_all, user.settled, support):
             raise asked
         for recording in loaded_all:
             path = Path(recording.source)

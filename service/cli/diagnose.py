@@ -110,7 +110,7 @@ def diagnose(
             seconds=seconds,
             reserved=0.0 if report is None else DRAWING,
             begin=begin,
-            settled=user.assumed,
+            settled=user.settled,
             progress=progress,
         )
         found, origin = answer.found, replace(read, vehicle=name_of(answer.model, file))

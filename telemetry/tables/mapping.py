@@ -58,6 +58,11 @@ class Said:
     columns: Mapping[str, Source] = field(default_factory=dict)
     assumed: Mapping[str, Assumption] = field(default_factory=dict)
 
+    @property
+    def settled(self) -> frozenset[str]:
+        """The channels whose unit the user states."""
+        return frozenset(self.assumed) | {name for name, each in self.columns.items() if each.unit}
+
     def with_assumed(self, channel: str, more: Assumption) -> Said:
         """With one more assumption; what it leaves open stays as it is."""
         before = self.assumed.get(channel, Assumption())

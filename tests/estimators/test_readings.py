@@ -18,7 +18,6 @@ from models.model import Model
 from service.offline.wanted import wanted
 from telemetry.recording import Recording
 from telemetry.storage import load
-from telemetry.tables.assumed import as_assumed
 from telemetry.tables.mapping import said_of
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
@@ -35,7 +34,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Model:
 
 
 def run(folder: Path, model: Model, missing: Missing = nothing, **plant: float) -> Recording:
-    path = write(folder / "run.csv", missing, seed=3, duration=20.0, **plant)  # type: ignore[arg-type]
+    path = write(folder / "run.csv", missing, seed=3, duration=12.0, **plant)  # type: ignore[arg-type]
     return load(path, wanted([model]))
 
 
@@ -108,7 +107,7 @@ def test_factor_of_a_pwm_count_is_estimated(model: Model, plain: Recording) -> N
     asked = question(model, [changed(plain, voltage=pwm)])
     assert asked is not None
     # The model's CAD values decide: 0.3 N m/V and 9.8 +- 2 N m/rad, where it is 11.5.
-    assert float(asked.together[0].how.unit) == pytest.approx(24.0 / 255.0, rel=0.2)
+    assert float(asked.together[0].changes[0][1].unit) == pytest.approx(24.0 / 255.0, rel=0.2)
 
 
 def test_wrapped_angle_is_found_if_it_jumps(model: Model, plain: Recording) -> None:
@@ -117,7 +116,8 @@ def test_wrapped_angle_is_found_if_it_jumps(model: Model, plain: Recording) -> N
     asked = question(model, [wrapped])
     assert asked is not None
     assert asked.remedy.startswith("--assume angle=wrapped;")
-    again = as_assumed(wrapped, "angle", asked.together[0].how)
+    again = asked.together[0].of(wrapped)
+    assert again is not None
     whole = np.round((again["angle"] - plain["angle"])[0] / (2.0 * np.pi)) * 2.0 * np.pi
     np.testing.assert_allclose(again["angle"] - whole, plain["angle"], atol=1e-9)
 
@@ -137,7 +137,9 @@ def test_missing_effect_is_no_question(name: str, model: Model, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("plant", [{"dead_band": 2.0}, {"late": 0.02}, {"early": 0.005}], ids=str)
-def test_effect_of_an_actuator_or_a_sensor_is_no_question(plant: dict[str, float], model: Model, tmp_path: Path) -> None:
+def test_effect_of_an_actuator_or_a_sensor_is_no_question(
+    plant: dict[str, float], model: Model, tmp_path: Path
+) -> None:
     assert question(model, [run(tmp_path, model, **plant)]) is None
 
 
@@ -147,7 +149,7 @@ def test_gain_within_what_physics_may_be_is_no_question(model: Model, plain: Rec
 
 def test_channel_that_its_user_settled_is_not_questioned(model: Model, plain: Recording) -> None:
     wrong = changed(plain, angle=np.degrees)
-    assert question(model, [wrong], said_of((), ("angle=1", "voltage=1", "time=s")).assumed) is None
+    assert question(model, [wrong], said_of((), ("angle=1", "voltage=1", "time=s")).settled) is None
 
 
 def test_question_is_an_error_with_both_ways_out(model: Model, plain: Recording) -> None:
