@@ -77,6 +77,14 @@ def _file(content: bytes, source: str) -> Any:
 
 
 def _raw(table: Any, source: str, late: dict[str, str], truncated: str) -> RawTable:
+    try:
+        return _columns(table, source, late, truncated)
+    except (pa.ArrowException, UnicodeError) as error:
+        remedy = "Write the file again: names are text in UTF-8."
+        raise RecordingError(source, "", f"is damaged: {error}", remedy=remedy) from error
+
+
+def _columns(table: Any, source: str, late: dict[str, str], truncated: str) -> RawTable:
     said: list[str] = []
     own = {key: text for key, text in _text(table.schema.metadata).items() if key not in HIDDEN}
     columns, texts = [], {}
