@@ -44,8 +44,8 @@ from service.hidden_effects.vehicles import drawn
 from service.virtual.run import record
 from simulation.monocab.hidden import HIDDEN, UNLISTED
 from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
+from telemetry import storage
 from telemetry.clock import with_regular_times
-from telemetry.csv_file import read_csv
 from telemetry.errors import UprightError
 from vehicles import registry
 from vehicles.file import load
@@ -192,7 +192,7 @@ def _others_diagnosed(how: Mapping[str, Any]) -> Callable[[], Diagnosis]:
         known = load("monocab")
         with tempfile.TemporaryDirectory() as folder:
             vehicle = others_recordings.OthersVehicle(rate=200, noise=5.0, sweep=False, seed=SEED, **how)
-            run = with_regular_times(read_csv(vehicle.write(Path(folder) / "table.csv")))
+            run = with_regular_times(storage.load(vehicle.write(Path(folder) / "table.csv")))
         models = registry.models_of(known)
         return diagnose_parts(bare(models.nominal), models.actuators, [run], support=known.support)
 

@@ -1,4 +1,4 @@
-"""Recordings as Arrow IPC streams and Parquet files.
+"""Recordings written as Arrow IPC streams and Parquet files; telemetry.tables reads them.
 
 Columns: `timestamp_ns` int64, then one float64 per channel with its unit and meaning as field metadata. What is known
 of the run is schema metadata; what is known only at its end is metadata of the last batch of a stream. A stream is
@@ -19,11 +19,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from telemetry.channels import ChannelTable
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording, describe, instants, refuse_repeated
-
-END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
-"""The last eight bytes of a stream that was closed."""
+from telemetry.recording import Recording
 
 
 class ArrowStreamWriter:
@@ -58,54 +54,11 @@ class ArrowStreamWriter:
             os.fsync(self._file.fileno())
 
 
-def read_arrow(path: Path) -> Recording:
-    """Read a stream, up to its last whole batch if it was cut off. Raises RecordingError, OSError."""
-    with path.open("rb") as file:
-        content = file.read()
-    batches = []
-    late: dict[str, str] = {}
-    lost = ""
-    try:
-        reader = pa.ipc.open_stream(content)
-    except (pa.ArrowException, OSError) as error:
-        raise RecordingError(
-            str(path),
-            "",
-            "is not an Arrow stream, or was cut off before its first row",
-            remedy="If a raw log (.log) lies beside it, `upright convert` rebuilds the recording from that.",
-        ) from error
-    try:
-        while True:
-            batch, own = reader.read_next_batch_with_custom_metadata()
-            batches.append(batch)
-            late.update(_text(own))
-    except StopIteration:
-        if not content.endswith(END_OF_STREAM):
-            lost = "the recording was not closed: it ends with its last whole batch"
-    except (pa.ArrowException, OSError):
-        lost = "the recording is cut off in the middle of a batch: it ends with the batch before"
-    return _recording(pa.Table.from_batches(batches, schema=reader.schema), path, late, lost)
-
-
 def write_arrow(recording: Recording, path: Path) -> None:
     """Write a whole recording as one stream. Replaces `path`."""
     table = _table(recording)
     with pa.OSFile(str(path), "wb") as file, pa.ipc.new_stream(file, table.schema) as writer:
         writer.write_table(table)
-
-
-def read_parquet(path: Path) -> Recording:
-    """Read a Parquet file. Raises RecordingError, OSError."""
-    try:
-        table = pa.parquet.read_table(path)
-    except pa.ArrowInvalid as error:
-        raise RecordingError(
-            str(path),
-            "",
-            "is not a complete Parquet file",
-            remedy="A Parquet file that was cut off is lost: convert it again from the .arrow recording.",
-        ) from error
-    return _recording(table, path, {}, "")
 
 
 def write_parquet(recording: Recording, path: Path) -> None:
@@ -125,40 +78,3 @@ def _schema(channels: ChannelTable, metadata: Mapping[str, str]) -> Any:
 def _table(recording: Recording) -> Any:
     columns = [recording.timestamp_ns, *(recording.values[name] for name in recording.channels.names)]
     return pa.table([pa.array(column) for column in columns], schema=_schema(recording.channels, recording.metadata))
-
-
-def _recording(table: Any, path: Path, late: dict[str, str], truncated: str) -> Recording:
-    """Reads `timestamp_ns`, or `time` in s if the table comes from elsewhere; every other column is a channel."""
-    names = table.column_names
-    if not {"timestamp_ns", "time"} & set(names):
-        raise RecordingError(
-            str(path), "time", "is missing", remedy="Name the column of seconds `time`, or of ns `timestamp_ns`."
-        )
-    refuse_repeated(names, str(path))
-    for field in table.schema:
-        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
-            remedy = "A channel is a column of numbers: leave it out."
-            raise RecordingError(str(path), field.name, f"is of type {field.type}", remedy=remedy)
-    if "timestamp_ns" in names:
-        timestamp_ns = instants(table.column("timestamp_ns").to_numpy(), 1.0, str(path))
-    else:
-        timestamp_ns = instants(table.column("time").to_numpy(), 1e9, str(path))
-    values, units = {}, {}
-    for field in table.schema:
-        if field.name in ("timestamp_ns", "time"):
-            continue
-        values[field.name] = table.column(field.name).to_numpy().astype(np.float64)
-        units[field.name] = _text(field.metadata).get("unit", "")
-    own = {key: text for key, text in _text(table.schema.metadata).items() if key not in ("pandas", "ARROW:schema")}
-    return Recording(
-        channels=describe(units),
-        timestamp_ns=timestamp_ns,
-        values=values,
-        metadata={**own, **late},
-        truncated=truncated,
-        source=str(path),
-    )
-
-
-def _text(metadata: Any) -> dict[str, str]:
-    return {key.decode(): value.decode() for key, value in (metadata or {}).items()}

@@ -15,13 +15,15 @@ STEEPEST = 1.6
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it. `leans`: a lean
-    angle of the vehicle, which is beyond STEEPEST only if it was recorded in another unit."""
+    angle of the vehicle, which is beyond STEEPEST only if it was recorded in another unit. `part`: what it belongs to,
+    if a vehicle may do without; all channels of that part are then at rest."""
 
     name: str
     unit: str
     meaning: str
     newer: bool = False
     leans: bool = False
+    part: str = ""
 
 
 class ChannelTable(tuple[Channel, ...]):

@@ -29,7 +29,9 @@ FOLLOWS = 0.05
 AHEAD = 5
 """Samples after a late stamp of which at least one is in time."""
 WINDOW = 51
-"""Samples over which a clock is even: slower changes are not jitter."""
+"""Samples of the shortest window over which a clock may change: what is faster is jitter."""
+WANDERS = 2.0
+"""Ratio of a mean over a window to what jitter makes of it, above which the clock itself changes."""
 SMOOTH = 9
 """Samples of the cubic from which a slope is taken."""
 BLOCK = 16
@@ -108,8 +110,22 @@ def _off(time: Array) -> tuple[Array, float] | None:
         number[row] = number[row - 1] + steps
     period, begin = np.polyfit(number, time, 1)
     off = time - (begin + period * number)
-    off = off - uniform_filter1d(off, WINDOW, mode="nearest")
+    off = _without_wander(off)
     return (off, float(period)) if np.sqrt(np.mean(off**2)) > LEAST * period else None
+
+
+def _without_wander(off: Array) -> Array:
+    """`off` (n,) without the clock's own slow changes, at every scale at which they exceed what jitter alone makes of a
+    mean: to follow jitter would be to make it."""
+    jitter, window = float(np.std(off)), WINDOW
+    while 8 * window < len(off):
+        window *= 4
+    while window >= WINDOW:
+        slow = uniform_filter1d(off, window, mode="nearest")
+        if float(np.std(slow)) > WANDERS * jitter / np.sqrt(window):
+            off = off - slow
+        window //= 4
+    return off
 
 
 def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float] | None:

@@ -30,7 +30,8 @@ class Recording:
     `metadata` is what the writer knew (vehicle, kind, experiment, parameters, ...). `truncated` states what could be
     read of a file that was cut off; it is empty for a complete file. `source` names the file in errors. `stamped_ns`
     int64 (n,) are the time stamps that the controller had, if these are not the instants of the samples
-    (telemetry.clock).
+    (telemetry.clock). `assumed` states what was assumed to read a table that others wrote (telemetry.tables), and
+    `settled` are its channels whose unit the user stated.
 
     Raises RecordingError if columns differ in length, time does not rise, or an angle cannot be in radians.
     """
@@ -42,6 +43,8 @@ class Recording:
     truncated: str = ""
     source: str = "recording"
     stamped_ns: NDArray[np.int64] | None = None
+    assumed: tuple[str, ...] = ()
+    settled: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if len(self.timestamp_ns) == 0:
@@ -77,7 +80,7 @@ class Recording:
                     self.source,
                     channel.name,
                     f"reaches {largest:.3g}, which cannot be {channel.unit}",
-                    remedy="Convert angles to rad and rates to rad/s; recordings are in SI units.",
+                    remedy=f"Recordings are in SI units; if it is in degrees: --assume {channel.name}=deg.",
                 )
 
     @property

@@ -1,43 +1,59 @@
 """Files of recordings, by their suffix: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv`
-(column names = channel names).
+(column names = channel names) are written; tables of others are read, too (telemetry.tables).
 
 A raw `.log` needs the vehicle file to become a recording, see `service.offline.replay`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from telemetry.csv_file import read_csv, write_csv
+from telemetry.csv_file import write_csv
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from telemetry.tables.mapping import NOTHING, Said
+from telemetry.tables.read import SUFFIXES as READ
+from telemetry.tables.read import read_table
+from telemetry.tables.wanted import Wanted
 
 SUFFIXES = (".arrow", ".parquet", ".csv")
+"""What is written."""
 
 
-def load(path: Path | str) -> Recording:
-    """Read a recording, by its suffix: .arrow, .parquet or .csv.
+def load(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> Recording:
+    """Read a recording. Of a file with several, as a logger writes that began anew, the longest, which then states so.
 
-    A stream that was cut off (by a crash, a full disk) is read up to its last whole batch; `truncated` then states it.
+    The rest is as for `load_all`.
+    """
+    found = load_all(path, wanted, user)
+    if len(found) == 1:
+        return found[0]
+    note = f"the file holds {len(found)} recordings, since time begins anew in it: this is the longest"
+    longest = max(found, key=len)
+    return replace(longest, assumed=(*longest.assumed, note))
+
+
+def load_all(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:
+    """All recordings in a file. What kind of table it is, is found by its content and its suffix.
+
+    `wanted` are the channels that a model needs, and `user` is what the user says of the columns; what was assumed
+    besides is in `Recording.assumed`. A stream that was cut off (by a crash, a full disk) is read up to its last whole
+    batch; `truncated` then states it.
 
     Raises:
         RecordingError: the file cannot be read, is of another format, or holds no rows.
     """
     path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise _unknown_suffix(path, path.suffix)
+    if path.suffix.lower() not in READ:
+        raise _unknown_suffix(path, path.suffix, READ)
     try:
-        if path.suffix == ".csv":
-            return read_csv(path)
-        from telemetry.arrow_file import read_arrow, read_parquet
-
-        return read_arrow(path) if path.suffix == ".arrow" else read_parquet(path)
+        return read_table(path, wanted, user)
     except OSError as error:
         raise RecordingError(
             str(path), "", f"cannot be read: {error.strerror or error}", remedy="Check the path and its permissions."
         ) from error
-    except UnicodeDecodeError as error:
-        raise RecordingError(str(path), "", "is not text", remedy="Save it as CSV in UTF-8.") from error
 
 
 def save(recording: Recording, path: Path | str) -> None:
@@ -55,13 +71,13 @@ def save(recording: Recording, path: Path | str) -> None:
         case ".csv":
             write_csv(recording, path)
         case suffix:
-            raise _unknown_suffix(path, suffix)
+            raise _unknown_suffix(path, suffix, SUFFIXES)
 
 
-def _unknown_suffix(path: Path, suffix: str) -> RecordingError:
+def _unknown_suffix(path: Path, suffix: str, known: Sequence[str]) -> RecordingError:
     what = f"recordings are not stored as {suffix or 'files without a suffix'}"
     if suffix == ".log":
         remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
     else:
-        remedy = f"Use one of {', '.join(SUFFIXES)}."
+        remedy = f"Use one of {', '.join(known)}."
     return RecordingError(str(path), "", what, remedy=remedy)

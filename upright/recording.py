@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from upright.layers.recordings import Recorded, RecordingError, describe, instants, read
+from upright.layers.recordings import Recorded, RecordingError, describe, instants, read, said_of
 from upright.shown import frame_of
 
 if TYPE_CHECKING:
     import pandas
 
-    from upright.layers.results import Picture, VehicleFile
+    from upright.layers.recordings import Source
+    from upright.layers.results import GreyBox, Picture, VehicleFile
 
 
 class RecordingWarning(UserWarning):
@@ -93,17 +94,26 @@ def load(
     path: str | PathLike[str],
     *,
     vehicle: str | PathLike[str] | None = None,
+    model: str | PathLike[str] | None = None,
+    columns: Mapping[str, str] | None = None,
+    assume: Mapping[str, str] | None = None,
     begin: float = 0.0,
     end: float = math.inf,
 ) -> Recording:
-    """Read a recording: .arrow, .parquet, .csv, or the raw CAN .log of a `vehicle`.
+    """Read a recording: .arrow, .parquet, a table of any origin, or the CAN log of a `vehicle`.
 
-    `vehicle`: a shipped one or a vehicle file. Needed for a .log; a table of that vehicle from elsewhere is completed
-    by what is usual. `begin`, `end`: the part that is used, s. Time stamps that jitter although the samples do not are
-    replaced by those of the sampling clock. What is unusual is a RecordingWarning.
+    `vehicle`: a shipped one or a vehicle file. Needed for a CAN log; a table of that vehicle from elsewhere is
+    completed by what is usual. `model`: its channels and its table [columns] say how a table is read. `columns` gives
+    the column of a channel and its unit, as in {"angle": "pos:deg"}; `assume` what the table does not state, as in
+    {"angle": "deg"}. What was assumed besides is in `assumed`. `begin`, `end`: the part that is used, s. Time stamps
+    that jitter although the samples do not are replaced by those of the sampling clock. What is unusual is a
+    RecordingWarning.
     Raises RecordingError, which names the file, the channel or line, and the remedy.
     """
-    found, notes = read(Path(path), None if vehicle is None else _file(vehicle))
+    known = None if vehicle is None else _file(vehicle)
+    needed, written = (None, {}) if model is None else _needed(model)
+    user = said_of(_options(columns), _options(assume), written)
+    found, notes = read(Path(path), known, needed, user)
     for note in notes:
         warnings.warn(f"{path}: {note}", RecordingWarning, stacklevel=2)
     return Recording.of(found).between(begin, end)
@@ -113,3 +123,14 @@ def _file(vehicle: str | PathLike[str]) -> VehicleFile:
     from upright.layers.results import load_vehicle
 
     return load_vehicle(fspath(vehicle))
+
+
+def _needed(model: str | PathLike[str]) -> tuple[list[GreyBox], dict[str, Source]]:
+    """The model of which a table is needed, and its table [columns]."""
+    from upright.layers.results import columns, identified_model
+
+    return [identified_model(fspath(model), None)], columns(fspath(model))
+
+
+def _options(given: Mapping[str, str] | None) -> list[str]:
+    return [f"{name}={text}" for name, text in (given or {}).items()]

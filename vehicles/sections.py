@@ -420,6 +420,9 @@ class VehicleFile(Section):
     controller: ControllerSection
     experiments: dict[str, ExperimentSection]
     mqtt: MqttSection = MqttSection()
+    columns: dict[str, str] = {}
+    """By channel, or `time`: the column of a table of another origin that it is read from, as `COLUMN` or
+    `COLUMN:UNIT`."""
     path: str = ""
     """Where it was read from."""
     configuration_hash: str = ""

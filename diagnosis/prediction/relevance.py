@@ -93,8 +93,10 @@ def _ahead(found: Innovations, reach: float) -> float | None:
         least = sensor_floors(found.fit, (reach,))[0]
     except EstimationError:
         return None
-    energy = np.nanmean((errors(found.fit, (reach,))[0] / least) ** 2, axis=0)
-    mean = float(np.mean(energy))
+    ahead = errors(found.fit, (reach,))[0]
+    if not np.isfinite(ahead).any(axis=0).all():  # no segment is as long as that
+        return None
+    mean = float(np.mean(np.nanmean((ahead / least) ** 2, axis=0)))
     return mean if np.isfinite(mean) else None
 
 

@@ -15,12 +15,14 @@ from diagnosis.prediction.compare import Comparison
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where a report comes from. `hashes`: SHA-256 of each recording by its name. `date` is shown as given."""
+    """Where a report comes from. `hashes`: SHA-256 of each recording by its name. `date` is shown as given.
+    `assumed`: what was assumed to read each recording that others wrote, by its name."""
 
     vehicle: str = ""
     version: str = ""
     date: str = ""
     hashes: Mapping[str, str] = field(default_factory=dict)
+    assumed: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,10 @@ class DataError(EstimationError):
         self.status = status
 
 
+class Contradiction(DataError):
+    """An angle and a rate that cannot both be what their names say."""
+
+
 def segments(
     model: Model, recordings: Sequence[Recording], *, support: float | None = None, longest: float | None = None
 ) -> list[Segment]:
@@ -76,23 +80,35 @@ def segments(
         limit = support if support is not None else recorded_support(recording)
         free = _free(model, recording, limit)
         if not free.any():
-            raise DataError(
-                Status.TOO_FEW_SAMPLES,
-                recording.source,
-                "no sample has all channels known and the vehicle free of its supports",
-                remedy="record it upright.",
-            )
+            raise _never_free(model, recording, limit)
         _check_free(model, recording, free)
         late = _late(model, recording)
         found += [_segment(model, recording, part, late) for part in _gapless(recording, free, longest)]
     if not found:
+        held = any(support is not None or recorded_support(each) is not None for each in recordings)
         raise DataError(
             Status.TOO_FEW_SAMPLES,
             "recording",
-            f"no gapless segment of free motion has {SHORTEST} samples",
-            remedy="record for longer, with the vehicle upright.",
+            f"no gapless segment {'of free motion ' if held else ''}has {SHORTEST} samples",
+            remedy=f"record for longer{', with the vehicle upright' if held else ', without holes'}.",
         )
     return found
+
+
+def _never_free(model: Model, recording: Recording, limit: float | None) -> DataError:
+    """The reason why no sample can be used: a channel without values, or a vehicle on its supports."""
+    names = [name for name in channels_of(model) if name in recording.values]
+    for name in names:
+        if not np.isfinite(recording[name]).any():
+            remedy = f"name another column: --map {name}=COLUMN."
+            return DataError(
+                Status.MISSING_CHANNEL, f"channel {name}", f"has no values in {recording.source}", remedy=remedy
+            )
+    if limit is None:
+        what = f"no sample has all of {', '.join(names)} known"
+        return DataError(Status.TOO_FEW_SAMPLES, recording.source, what, remedy="record all channels in each sample.")
+    what = "no sample has all channels known and the vehicle free of its supports"
+    return DataError(Status.TOO_FEW_SAMPLES, recording.source, what, remedy="record it upright.")
 
 
 def after_settling(model: Model, recordings: Sequence[Recording], support: float | None = None) -> list[Recording]:
@@ -162,7 +178,7 @@ def _check(model: Model, recording: Recording) -> None:
                 Status.MISSING_CHANNEL,
                 f"channel {name}",
                 f"is not in {recording.source}, which has {', '.join(recording.channels.names)}",
-                remedy="record it, or use a model that does without.",
+                remedy=f"name its column (--map {name}=COLUMN), record it, or use a model that does without (--model).",
             )
 
 
@@ -270,7 +286,7 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
     if abs(together) > 0.5 and AGREEMENT[0] < factor < AGREEMENT[1]:
         return
     if abs(together) <= 0.5:
-        raise DataError(
+        raise Contradiction(
             Status.BAD_DATA,
             f"channel {rate}",
             f"is not the derivative of {angle} (correlation {together:.2f})",
@@ -278,7 +294,7 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
         )
     degrees = 0.5 < abs(factor) * np.pi / 180.0 < 2.0 or 0.5 < abs(factor) * 180.0 / np.pi < 2.0
     unit = "; one of them is in degrees" if degrees else ""
-    raise DataError(
+    raise Contradiction(
         Status.BAD_DATA,
         f"channel {rate}",
         f"is {factor:.3g} times the derivative of {angle}{unit}",

@@ -13,9 +13,11 @@ from models.model import Model
 class ModelFile:
     """A model and its history, oldest first: one mapping per entry, with `action` and further details.
 
+    `columns`: by channel, the column of a table that it is read from (`COLUMN` or `COLUMN:UNIT`).
     `effect_files`: for the user's own effects, by their name in the model, the path from the model file's folder.
     """
 
     model: Model
     history: tuple[Mapping[str, Any], ...] = ()
     effect_files: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)

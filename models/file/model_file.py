@@ -10,6 +10,7 @@ import os
 import re
 import stat
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,11 @@ from typing import TYPE_CHECKING, Any
 from models import library
 from models.file.document import ModelFile
 from models.file.own_equations import base_model, given
-from models.file.sections import EffectSection, HistorySection, sections
+from models.file.sections import EffectSection, HistorySection, one_of, sections
 from models.model import Model
 from models.parts import ModelError
 from telemetry.documents import from_toml
+from telemetry.tables.mapping import MappingError, columns_of
 
 if TYPE_CHECKING:
     from models.effect import AttachedEffect, Effect
@@ -66,7 +68,8 @@ def parse(text: str, path: str | Path) -> ModelFile:
         model, attached = _attach(model, entry, file, f"{file}: effects.{place}")
         if entry.file:
             effect_files[attached.name] = entry.file
-    return ModelFile(model, tuple(map(_entry, tables.history)), effect_files)
+    _check_columns(model, tables.columns, file)
+    return ModelFile(model, tuple(map(_entry, tables.history)), effect_files, tables.columns)
 
 
 def write(file: ModelFile, path: str | Path) -> None:
@@ -94,6 +97,18 @@ def write(file: ModelFile, path: str | Path) -> None:
             what = f"the model {file.model.name} cannot be written so that reading restores it"
             raise ModelError(str(path), what, remedy="build it from a shipped model, or from equations in a file.")
     _replace(path, text)
+
+
+def _check_columns(model: Model, columns: Mapping[str, str], file: str) -> None:
+    """Raises ModelError for a channel that the model does not have, or a column that cannot be understood."""
+    channels = ["time", *(each.channel for each in model.inputs), *(each.name for each in model.outputs)]
+    for name, text in columns.items():
+        if name not in channels:
+            raise ModelError(f"{file}: columns.{name}", "is no channel of the model", remedy=one_of(name, channels))
+        try:
+            columns_of({name: text})
+        except MappingError as error:
+            raise ModelError(f"{file}: columns.{name}", str(error.args[0]), remedy=error.remedy) from error
 
 
 def _attach(model: Model, entry: EffectSection, file: str, where: str) -> tuple[Model, AttachedEffect]:

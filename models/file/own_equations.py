@@ -207,7 +207,10 @@ def _check_names(tables: ModelSection, file: str) -> None:
         for name in getattr(tables, key):
             problem = name_problem(name)
             if problem:
-                raise ModelError(f"{file}: {key}.{name}", f"{name!r} {problem}", remedy="choose another name.")
+                remedy = "choose another name."
+                if key in ("inputs", "outputs"):
+                    remedy = f'choose another name, and say which column it is: [columns] NAME = "{name}".'
+                raise ModelError(f"{file}: {key}.{name}", f"{name!r} {problem}", remedy=remedy)
             if key in ("states", "inputs", "parameters", "definitions"):
                 if name in taken:
                     what = f"{name!r} is {taken[name]} already"

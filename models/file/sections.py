@@ -204,6 +204,8 @@ class ModelSection(Section):
     actuators: dict[str, ActuatorSection] = {}
     sensors: dict[str, SensorSection] = {}
     definitions: dict[str, Equation] = {}
+    columns: dict[str, Equation] = {}
+    """By channel, or `time`: the column of a table that it is read from, as `COLUMN` or `COLUMN:UNIT`."""
     effects: list[EffectSection] = []
     history: list[HistorySection] = []
 

@@ -48,6 +48,8 @@ def fresh(file: ModelFile) -> str:
                 lines += ["", f"[joints.{joint.name}]", f"disturbance = {_toml(joint.disturbance)}"]
     else:
         lines += _equations(model)
+    if file.columns:
+        lines += ["", "[columns]", *(f"{_key(name)} = {_toml(text)}" for name, text in file.columns.items())]
     for attached in model.effects:
         lines += ["", *_effect(model, attached, file.effect_files.get(attached.name, ""))]
     for entry in file.history:

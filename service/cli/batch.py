@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption, methods, models
+from service.cli.arguments import (
+    AssumeOption,
+    FromOption,
+    MapOption,
+    RecordingsArgument,
+    ToOption,
+    VehicleOption,
+    methods,
+    models,
+)
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
-from service.cli.inputs import fitting, load_recording, working
+from service.cli.inputs import fitting, load_recording, load_recordings, working
 from service.output import check_folder, live_estimates, page, print_json
 from service.whole_file import write_whole
 
-Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a CAN log.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
@@ -34,7 +43,7 @@ def register(app: typer.Typer) -> None:
 
 
 def identify(
-    recordings: Recordings,
+    recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
     method: Annotated[
         list[str] | None,
@@ -61,9 +70,10 @@ def identify(
             "--truth", help="NAME=VALUE that is known to be true, as for a virtual vehicle.", show_default=False
         ),
     ] = None,
-    begin: Annotated[
-        float, typer.Option("--from", help="Use the recordings from this second on.", show_default="the beginning")
-    ] = 0.0,
+    begin: FromOption = 0.0,
+    end: ToOption = math.inf,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     report: Annotated[
         Path | None,
@@ -75,11 +85,11 @@ def identify(
 
     Ctrl-C ends the estimation and shows the results up to then.
     """
-    from math import inf
-
     from service.offline.identify import identified
     from service.offline.machine import name_of
-    from service.offline.models import identified_model
+    from service.offline.models import columns, identified_model
+    from service.offline.provenance import assumed, provenance
+    from telemetry.tables.mapping import said_of
     from vehicles.file import load
 
     file = load(vehicle)
@@ -90,7 +100,8 @@ def identify(
 
         check_suffix(picture)
     check_folder(report)
-    loaded = [load_recording(path, vehicle).between(begin, inf) for path in recordings]
+    user = said_of(map_ or [], assume or [], columns(model))
+    loaded = load_recordings(recordings, file, [subject], user=user, begin=begin, end=end)
     with fitting() as progress:
         answer = identified(
             loaded, file, model=subject, methods=method or (), every=every, bandwidth=bandwidth, progress=progress
@@ -101,12 +112,11 @@ def identify(
 
         save_methods(document, picture, truth=known)
     if report is not None:
-        from service.offline.provenance import provenance
-
         with working() as step:
-            write_whole(report, answer.page(provenance(name_of(subject, file), recordings), known, step))
+            origin = provenance(name_of(subject, file), recordings, loaded)
+            write_whole(report, answer.page(origin, known, step))
     if json:
-        print_json(document)
+        print_json({**document, "assumed": assumed(loaded)})
     else:
         from service.pages.identify import print_methods
 
@@ -136,7 +146,7 @@ def truths(options: list[str]) -> dict[str, float]:
     return known
 
 
-def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
+def replay(recordings: RecordingsArgument, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again, with bit-identical results."""
     from service.offline.replay import replay as run
     from vehicles.file import load
@@ -155,7 +165,7 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="A recording or a CAN log.")],
+    source: Annotated[Path, typer.Argument(help="A recording, a table of other origin, or a CAN log.")],
     target: Annotated[
         Path, typer.Argument(help="A file; its suffix gives the format: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")
     ],
@@ -164,14 +174,27 @@ def convert(
         Path | None,
         typer.Option("--dbc", help="A DBC file: take the signals that it names from a CAN log.", show_default=False),
     ] = None,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
 ) -> None:
     """Write a recording in another format. All measured channels of a CAN log are reconstructed.
 
-    A CAN log is one of upright, of `candump`, or an ASC, BLF, TRC or MF4 of another tool.
+    A CAN log is one of upright, of `candump`, or an ASC, BLF, TRC or MF4 of another tool. A table of any machine is
+    read, and what was assumed is printed. If a logger began anew in it, the further parts are written beside the first,
+    as NAME-2.
     """
+    from service.offline.can_log import is_can_log
     from service.offline.replay import convert as run
+    from telemetry.tables.mapping import said_of
+    from vehicles.file import load
 
+    models = None if is_can_log(source) else ()
+    user = said_of(map_ or [], assume or [])
     with working() as step:
         step(f"writing {target.name}")
-        run(load_recording(source, vehicle, as_stamped=True, database=dbc), target)
-    page.print(f"{target}: {target.stat().st_size} bytes")
+        found = load_recordings([source], load(vehicle), models, user=user, as_stamped=True, database=dbc)
+        targets = [target, *(target.with_stem(f"{target.stem}-{place}") for place in range(2, len(found) + 1))]
+        for recording, path in zip(found, targets, strict=True):
+            run(recording, path)
+    for path in targets:
+        page.print(f"{path}: {path.stat().st_size} bytes")

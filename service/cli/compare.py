@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption, models
+from service.cli.arguments import (
+    AssumeOption,
+    FromOption,
+    MapOption,
+    RecordingsArgument,
+    ToOption,
+    VehicleOption,
+    models,
+)
 from service.output import check_folder, page, people, print_json
 from service.whole_file import write_whole
 
 
 def compare(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
+    recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
     model: Annotated[
         list[str] | None,
@@ -26,6 +35,10 @@ def compare(
             autocompletion=models,
         ),
     ] = None,
+    begin: FromOption = 0.0,
+    end: ToOption = math.inf,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="Picture of the overlay and of where the models fail: .png, .svg or .pdf."),
@@ -41,11 +54,13 @@ def compare(
     Each recording is compared by itself. The reference is the error that noise alone would cause; the noise is
     estimated from the recording.
     """
-    from service.cli.inputs import load_recording, working
+    from service.cli.inputs import load_recordings, working
     from service.offline.compare import compared
     from service.offline.machine import name_of
-    from service.offline.models import compared_models
+    from service.offline.models import columns, compared_models
+    from service.offline.provenance import assumed, provenance
     from service.pages.compare import print_comparisons
+    from telemetry.tables.mapping import said_of
     from vehicles.file import load
 
     if picture is not None:
@@ -55,30 +70,34 @@ def compare(
     check_folder(report)
     file = load(vehicle)
     chosen = compared_models(model or [], file, note=lambda text: people.print(f"[yellow]{text}[/yellow]"))
+    written = {name: each for option in model or [] for name, each in columns(option).items()}
+    user = said_of(map_ or [], assume or [], written)
     answers = []
     pictures = []
     with working() as step:
-        for path in recordings:
-            step(f"reading: {path.name}")
-            (found,) = compared([load_recording(path, vehicle)], chosen, file, step)
+        loaded = load_recordings(recordings, file, list(chosen.values()), user=user, begin=begin, end=end)
+        for recording, found in zip(loaded, compared(loaded, chosen, file, step), strict=True):
+            path = Path(recording.source)
             answers.append((path, found))
             if picture is not None:
                 from diagnosis.report.figures.comparison import save_comparison
 
                 step(f"drawing: {path.name}")
-                target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
+                target = picture if len(loaded) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
                 save_comparison(found, target)
                 pictures.append(target)
         if report is not None:
             from diagnosis.report import write_comparison
-            from service.offline.provenance import provenance
 
-            origin = provenance(name_of(next(iter(chosen.values())), file), recordings)
+            origin = provenance(name_of(next(iter(chosen.values())), file), recordings, loaded)
             named = [(str(path), found) for path, found in answers]
             write_whole(report, write_comparison(named, provenance=origin, progress=step))
     if json:
         print_json(
-            {"models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found]}
+            {
+                "models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found],
+                "assumed": assumed(loaded),
+            }
         )
         return
     for path, found in answers:

@@ -9,7 +9,16 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption, effects, models
+from service.cli.arguments import (
+    AssumeOption,
+    FromOption,
+    MapOption,
+    RecordingsArgument,
+    ToOption,
+    VehicleOption,
+    effects,
+    models,
+)
 from service.output import page, print_json
 from service.whole_file import write_whole
 
@@ -18,7 +27,7 @@ DRAWING = 0.1
 
 
 def diagnose(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
+    recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
     model: Annotated[
         str | None,
@@ -43,12 +52,10 @@ def diagnose(
         list[str] | None,
         typer.Option("--also", help="Also look for an effect of your own (.toml, .py). May be repeated."),
     ] = None,
-    begin: Annotated[
-        float, typer.Option("--from", help="Use the recordings from this second on.", show_default="the beginning")
-    ] = 0.0,
-    end: Annotated[
-        float, typer.Option("--to", help="Use the recordings up to this second.", show_default="the end")
-    ] = math.inf,
+    begin: FromOption = 0.0,
+    end: ToOption = math.inf,
+    map_: MapOption = None,
+    assume: AssumeOption = None,
     auto: Annotated[
         Path | None,
         typer.Option(
@@ -79,11 +86,12 @@ def diagnose(
     that motion on. If both parts lack something, a second report is written beside the first. Ctrl-C ends it.
     """
     from diagnosis.diagnose import Verdict
-    from service.cli.inputs import load_recording, share_done
-    from service.offline.diagnose import default_budget, diagnosed, report_paths
+    from service.cli.inputs import load_recordings, share_done
+    from service.offline.diagnose import actuators_of, default_budget, diagnosed, report_paths, to_be_completed
     from service.offline.machine import name_of
-    from service.offline.models import Candidates
+    from service.offline.models import Candidates, columns, written_columns
     from service.offline.provenance import provenance
+    from telemetry.tables.mapping import said_of
     from vehicles.file import load
 
     for target in (auto, report):
@@ -93,8 +101,10 @@ def diagnose(
         raise typer.BadParameter("has to be more than 0 s; inf means no limit.", param_hint="--budget")
     file = load(vehicle)
     candidates = Candidates.of(effect, own or ())
-    loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
-    read = provenance("", recordings)  # now, since minutes later a file may have changed
+    user = said_of(map_ or [], assume or [], columns(model))
+    needed = [to_be_completed(model, file), *actuators_of(file, model)]
+    loaded = load_recordings(recordings, file, needed, user=user, begin=begin, end=end)
+    read = provenance("", recordings, loaded)  # now, since minutes later a file may have changed
     seconds = default_budget(loaded) if budget is None else budget
     with share_done(seconds) as progress:
         answer = diagnosed(
@@ -118,9 +128,9 @@ def diagnose(
     if auto is not None and found.revised is not None:
         from service.offline.trail import write_trail
 
-        write_trail(auto, found, answer.model, origin.hashes, candidates.files)
+        write_trail(auto, found, answer.model, origin.hashes, candidates.files, written_columns(model))
     if json:
-        print_json(found.to_json())
+        print_json({**found.to_json(), "assumed": read.assumed})
     else:
         from service.pages.diagnose import print_diagnosis
 
@@ -129,5 +139,5 @@ def diagnose(
             page.print("\n" + "\n".join(f"Report: {path}" for path in pages))
         if auto is not None and found.revised is not None:
             page.print(f"\nModel: {auto}, with a record of all steps: {auto.with_suffix('.trail.json')}")
-    if found.verdict is Verdict.INSUFFICIENT_DATA:
+    if found.verdict is Verdict.INSUFFICIENT_DATA or not found.steps:
         raise typer.Exit(1)

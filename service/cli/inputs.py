@@ -3,26 +3,61 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.markup import escape
+
 from service.output import people
 
 if TYPE_CHECKING:
+    from models.model import Model
     from telemetry.recording import Recording
+    from telemetry.tables.mapping import Said
+    from vehicles.file import VehicleFile
 
 
-def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False, database: Path | None = None) -> Recording:
-    """The recording of service.offline.read, with its notes on stderr."""
-    from service.offline.read import read
+def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
+    """The recording of a vehicle in a file, the longest of several; the rest is as for `load_recordings`."""
     from vehicles.file import load
 
-    recording, notes = read(path, load(vehicle), as_stamped=as_stamped, database=database)
+    return max(load_recordings([path], load(vehicle), as_stamped=as_stamped), key=len)
+
+
+def load_recordings(
+    paths: Sequence[Path],
+    vehicle: VehicleFile,
+    models: Sequence[Model] | None = None,
+    *,
+    user: Said | None = None,
+    begin: float = 0.0,
+    end: float = math.inf,
+    as_stamped: bool = False,
+    database: Path | None = None,
+) -> list[Recording]:
+    """The recordings in files of any kind, from `begin` to `end` s, for `models` (by default those of the vehicle), as
+    service.offline.read has them. What was assumed to read a table of another origin is printed on stderr, and so is
+    what is unusual."""
+    from service.offline.read import read_all
+
+    found: list[Recording] = []
+    for path in paths:
+        for recording, notes in read_all(path, vehicle, models, user, as_stamped=as_stamped, database=database):
+            _print_read(recording, path, notes)
+            found.append(recording.between(begin, end))
+    return found
+
+
+def _print_read(recording: Recording, path: Path, notes: Sequence[str]) -> None:
+    if recording.assumed:
+        size = f"{len(recording)} samples, {recording.duration:.4g} s at {recording.rate:.4g} Hz"
+        people.print(escape(f"{recording.source}: {size}. Read so:"))
+        for each in recording.assumed:
+            people.print(escape(f"  {each}"))
     for note in notes:
-        people.print(f"[yellow]{path}: {note}[/yellow]")
-    return recording
+        people.print(f"[yellow]{escape(f'{path}: {note}')}[/yellow]")
 
 
 @contextmanager

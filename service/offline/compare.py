@@ -8,6 +8,7 @@ from pathlib import Path
 from diagnosis.prediction.compare import Comparison, compare
 from models.model import Model
 from service.offline.machine import loops_of, support_of
+from service.offline.question import asked_of
 from telemetry.recording import Recording
 from vehicles.load import with_load
 from vehicles.sections import VehicleFile
@@ -26,6 +27,8 @@ def compared(
     """
     subject = next(iter(models.values()))
     support = support_of(subject, vehicle)
+    if asked := asked_of(subject, recordings, support):
+        raise asked
     for recording in recordings:
         progress(f"comparing: {Path(recording.source).name}")
         loaded = {name: with_load(each, recording) for name, each in models.items()}

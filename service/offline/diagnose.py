@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
 from diagnosis.parts import diagnose_parts
 from diagnosis.prepare.actuator_samples import looked_at
@@ -24,6 +26,7 @@ from models.model import Model
 from service.offline.machine import is_of, loops_of, support_of
 from service.offline.models import identified_model
 from service.offline.next_experiment import suggest_for
+from service.offline.question import asked_of
 from service.offline.replay import live_diagnosis
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
@@ -113,11 +116,15 @@ def diagnosed(
         nominal = with_load(nominal, recordings[0])
     else:
         refuse_loads(recordings)
-    actuators = registry.models_of(vehicle).actuators if vehicle is not None and model is None else ()
+    actuators = actuators_of(vehicle, model)
     seconds = default_budget(recordings) if seconds is None else seconds
     whole = Budget.of(None if math.isinf(seconds) else seconds * (1.0 - reserved))
+    report("checking how the tables are to be read", 0.0)
+    if asked := asked_of(nominal, recordings, support):
+        found = Diagnosis(Verdict.INSUFFICIENT_DATA, str(asked))
+        return Diagnosed(found, nominal, support, seconds, (Part(found, nominal, recordings),))
     way = partial(diagnose_parts, nominal, actuators) if actuators else partial(diagnose, nominal)
-    found = way(
+    found = np.errstate(all="ignore")(way)(  # a model that diverges in a trial is a trial that failed
         recordings,
         support=support,
         candidates=candidates,
@@ -154,6 +161,11 @@ def to_be_completed(given: str | Path | Model | None, vehicle: VehicleFile | Non
     for attached in model.effects if given is None else ():
         model = model.remove(attached.name)
     return model
+
+
+def actuators_of(vehicle: VehicleFile | None, model: str | Path | Model | None) -> tuple[Model, ...]:
+    """The models of the vehicle's actuators, which are diagnosed with its own model."""
+    return tuple(registry.models_of(vehicle).actuators) if vehicle is not None and model is None else ()
 
 
 def default_budget(recordings: Sequence[Recording]) -> float:

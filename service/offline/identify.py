@@ -16,6 +16,7 @@ from estimators.identify.subject import NOTHING_OWN
 from models.model import Model
 from service.offline.machine import is_of, loops_of, support_of
 from service.offline.models import identified_model
+from service.offline.question import asked_of
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles import registry
@@ -96,7 +97,8 @@ def identified(
     `methods`: names of estimators.identify.table, by default all that suit. With `every`, each gets all recordings.
     `bandwidth` Hz, of the filter of the regressions. `progress` is called with the method, the recording, the number of
     fits done and of all. KeyboardInterrupt ends it early: the document says so (`cancelled`).
-    Raises ModelError and EstimationError for an invalid model or name, RecordingError for a recording with a load.
+    Raises ModelError and EstimationError for an invalid model or name, RecordingError for a recording with a load,
+    DataError for a table that is to be read otherwise.
     """
     subject = identified_model(model, vehicle)
     values: Mapping[str, float] = {}
@@ -106,10 +108,13 @@ def identified(
         values, deviations = vehicle.parameters.values, vehicle.parameters.deviations
         own = registry.of(vehicle.vehicle.kind).identification()
     refuse_loads(recordings)
+    support = support_of(subject, vehicle)
+    if asked := asked_of(subject, recordings, support):
+        raise asked
     document = identify(
         recordings,
         values,
-        support_of(subject, vehicle),
+        support,
         methods,
         deviations=deviations,
         model=subject,

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 from estimators.contract import EstimationError
 from models.model import Model
+from telemetry.channels import COMMON
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from vehicles.file import load
-from vehicles.registry import names, nominal_model, recorded_loop
+from vehicles.registry import names, nominal_model, of, recorded_loop
 from vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
@@ -51,6 +52,23 @@ def is_of(model: Model, vehicle: VehicleFile | None) -> bool:
     except EstimationError:
         return False
     return [joint.coordinate for joint in model.joints[:1]] == [joint.coordinate for joint in own.joints[:1]]
+
+
+def refuse_foreign(recording: Recording, vehicle: VehicleFile) -> None:
+    """Raises RecordingError if the recording is of another machine: by its metadata, or for want of any channel that
+    only such a vehicle has."""
+    kind, table = recording.metadata.get("kind", vehicle.vehicle.kind), of(vehicle.vehicle.kind).channels
+    if kind != vehicle.vehicle.kind and kind in names():
+        what = f"is a recording of a {kind}, not of {vehicle.vehicle.id}"
+        raise RecordingError(recording.source, "", what, remedy=f"--vehicle {kind}, or the file of the vehicle.")
+    own = [each.name for each in table if each not in COMMON and not each.part]
+    if not set(own) & set(recording.values):
+        there = ", ".join(recording.channels.names)
+        what = f"has no channel of a {vehicle.vehicle.kind}; there are {there}"
+        remedy = (
+            f"Name its model (--model FILE.toml) or its vehicle (--vehicle), or its columns (--map {own[0]}=COLUMN)."
+        )
+        raise RecordingError(recording.source, "", what, remedy=remedy)
 
 
 def support_of(model: Model, vehicle: VehicleFile | None) -> float | None:

@@ -13,12 +13,13 @@ from estimators.identify.run import with_values
 from models.effect import Effect
 from models.effects.catalogue import CATALOGUE, find
 from models.file.effect_rules import validate
-from models.file.model_file import load_model
+from models.file.model_file import load_model, read
 from models.file.own_effects import load_effect
 from models.model import Model
 from models.parts import ModelError
 from service.offline.machine import is_of
 from telemetry.errors import RecordingError
+from telemetry.tables.mapping import Source, columns_of
 from vehicles.registry import nominal_model
 from vehicles.sections import VehicleFile
 
@@ -43,6 +44,16 @@ def identified_model(model: str | Path | Model | None, vehicle: VehicleFile | No
         raise EstimationError("model", "none is given, and the recordings name no vehicle", remedy=remedy)
     found = nominal_model(vehicle.vehicle.kind) if model is None else load_model(model)
     return with_values(found, vehicle.parameters.values, vehicle.parameters.deviations)
+
+
+def columns(model: str | Path | Model | None) -> dict[str, Source]:
+    """The table [columns] of a model file; none for another model. Raises ModelError."""
+    return columns_of(written_columns(model))
+
+
+def written_columns(model: str | Path | Model | None) -> Mapping[str, str]:
+    """The same as it is written. Raises ModelError."""
+    return read(str(model)).columns if str(model).endswith(".toml") and not isinstance(model, Model) else {}
 
 
 def chosen_effect(effect: str | Path | Effect) -> Effect:

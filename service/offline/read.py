@@ -5,6 +5,7 @@ Without a vehicle nothing of the vehicles is imported, so that a script has its 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,32 +13,60 @@ from telemetry import storage
 from telemetry.clock import with_regular_times
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from telemetry.tables.mapping import NOTHING, Said
 
 if TYPE_CHECKING:
+    from models.model import Model
     from vehicles.sections import VehicleFile
 
 
 def read(
-    path: Path, vehicle: VehicleFile | None = None, *, as_stamped: bool = False, database: Path | None = None
+    path: Path,
+    vehicle: VehicleFile | None = None,
+    models: Sequence[Model] | None = None,
+    user: Said = NOTHING,
 ) -> tuple[Recording, tuple[str, ...]]:
-    """The recording at `path`, and sentences about it: a file that was cut off, a fall of the vehicle.
+    """The longest of the recordings of `read_all`, and sentences about it."""
+    return max(read_all(path, vehicle, models, user), key=lambda each: len(each[0]))
 
-    Jittering time stamps of samples that are equidistant are replaced by those of the sampling clock, unless
-    `as_stamped`: to replay or convert a recording. Without a `vehicle` it is of a machine that has only a model.
-    `database` is a DBC, for the signals of a CAN log. Raises RecordingError.
+
+def read_all(
+    path: Path,
+    vehicle: VehicleFile | None = None,
+    models: Sequence[Model] | None = None,
+    user: Said | None = None,
+    *,
+    as_stamped: bool = False,
+    database: Path | None = None,
+) -> Iterator[tuple[Recording, tuple[str, ...]]]:
+    """The recordings at `path`, several if a logger began anew in it, each with sentences about it: a file that was cut
+    off, a fall of the vehicle.
+
+    They have the channels that `models` need, by default those of the `vehicle`; without one they are of a machine that
+    has only a model. `user` is what the user says of a table. Jittering time stamps of samples that are equidistant are
+    replaced by those of the sampling clock, unless `as_stamped`: to replay or convert a recording. `database` is a DBC,
+    for the signals of a CAN log. Raises RecordingError.
     """
-    if vehicle is not None:
-        from service.offline.replay import load
+    for recording in _loaded(path, vehicle, models, user or NOTHING, database):
+        each = recording if as_stamped else with_regular_times(recording)
+        yield each, tuple(filter(None, (each.truncated, _fall(each, vehicle, models))))
 
-        recording = load(path, vehicle, database)
-    elif _is_can_log(path):
+
+def _loaded(
+    path: Path, vehicle: VehicleFile | None, models: Sequence[Model] | None, user: Said, database: Path | None
+) -> Sequence[Recording]:
+    if vehicle is not None:
+        from service.offline.replay import load_all
+
+        return load_all(path, vehicle, models, user, database)
+    if _is_can_log(path):
         remedy = "Name the vehicle whose frames it holds."
         raise RecordingError(str(path), "", "is a CAN log, which only a vehicle file explains", remedy=remedy)
-    else:
-        recording = storage.load(path)
-    if not as_stamped:
-        recording = with_regular_times(recording)
-    return recording, tuple(filter(None, (recording.truncated, _fall(recording, vehicle))))
+    if not models:
+        return storage.load_all(path, user=user)
+    from service.offline.wanted import wanted
+
+    return storage.load_all(path, wanted(models), user)
 
 
 def _is_can_log(path: Path) -> bool:
@@ -46,12 +75,16 @@ def _is_can_log(path: Path) -> bool:
     return is_can_log(path)
 
 
-def _fall(recording: Recording, vehicle: VehicleFile | None) -> str:
-    """A sentence about the fall of the vehicle; "" if it did not fall."""
+def _fall(recording: Recording, vehicle: VehicleFile | None, models: Sequence[Model] | None) -> str:
+    """A sentence about the fall of the vehicle; "" if it did not fall, or if the recording is of another machine."""
     if vehicle is None:
         return ""
     from estimators.data.segments import falls_at
+    from service.offline.machine import is_of
     from vehicles.registry import nominal_model
+
+    if models is not None and not any(is_of(each, vehicle) for each in models):
+        return ""
 
     falls = falls_at(nominal_model(vehicle.vehicle.kind), recording, vehicle.support)
     if falls is None:

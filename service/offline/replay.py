@@ -7,6 +7,7 @@ taken, by time stamp, from the recording beside the log; without it, they are un
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,18 @@ from typing import Any
 import numpy as np
 
 from estimators.budget import UNLIMITED, Budget
+from models.model import Model
 from service.control import assembly
 from service.control.rows import rows_from_frames
 from service.observer.online_estimators import EstimatorBank, online_estimators
 from service.offline import can_log, export
+from service.offline.machine import is_of, refuse_foreign
+from service.offline.wanted import wanted
 from telemetry import storage
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from telemetry.tables.mapping import NOTHING, Said, columns_of
 from vehicles import registry
 from vehicles.file import VehicleFile
 
@@ -33,21 +38,44 @@ BATCH = 1000
 CONVERTED = (*storage.SUFFIXES, *export.SUFFIXES)
 
 
-def load(path: Path, vehicle: VehicleFile, database: Path | None = None) -> Recording:
-    """A recording from a file of any kind, including CAN logs, with its original time stamps.
-
-    `database` is a DBC: the signals that it names in a CAN log, in place of the vehicle's channels.
+def load(path: Path, vehicle: VehicleFile) -> Recording:
+    """A recording of the vehicle from a file of any kind, including CAN logs, with its original time stamps.
 
     Raises:
         RecordingError: the file cannot be read, or contains no frames of this vehicle.
     """
+    return max(load_all(path, vehicle), key=len)
+
+
+def load_all(
+    path: Path,
+    vehicle: VehicleFile,
+    models: Sequence[Model] | None = None,
+    user: Said = NOTHING,
+    database: Path | None = None,
+) -> Sequence[Recording]:
+    """The recordings in a file: several if a logger began anew in it. They have the channels that `models` need, by
+    default the vehicle's own; `user` is what the user says of the columns.
+
+    `database` is a DBC: the signals that it names in a CAN log, in place of the vehicle's channels.
+
+    Raises:
+        RecordingError: the file cannot be read, contains no frames of this vehicle, or is of another machine.
+    """
     if database is not None:
         from service.offline.dbc import signals
 
-        return signals(can_log.open_log(path), database, path)
+        return (signals(can_log.open_log(path), database, path),)
     if can_log.is_can_log(path):
-        return from_raw_log(path, vehicle)
-    return with_age(storage.load(path), vehicle)
+        return (from_raw_log(path, vehicle),)
+    own = models is None or any(is_of(each, vehicle) for each in models)
+    said = replace(user, columns={**columns_of(vehicle.columns), **user.columns}) if own else user
+    found = storage.load_all(path, wanted(models or (), vehicle if own else None), said)
+    if not own:
+        return found
+    for each in found:
+        refuse_foreign(each, vehicle)
+    return tuple(with_age(each, vehicle) for each in found)
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:

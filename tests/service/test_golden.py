@@ -7,7 +7,7 @@ import pytest
 from golden import FOLDER, GOLDEN, Recipe
 from thorough import of_many
 
-from telemetry.arrow_file import read_parquet
+from telemetry.storage import load
 
 ALWAYS = [next(each for each in GOLDEN if each.vehicle == name) for name in ("twsbr", "cube")]
 ALWAYS.append(next(each for each in GOLDEN if each.vehicle == "monocab" and each.duration == 10.0))
@@ -21,7 +21,7 @@ ROUNDED = 2.0**-23
 
 @pytest.mark.parametrize("recipe", of_many(GOLDEN, *ALWAYS), ids=lambda recipe: recipe.path.stem)
 def test_virtual_vehicle_still_records_it(recipe: Recipe) -> None:
-    kept, now = read_parquet(recipe.path), recipe.simulated()
+    kept, now = load(recipe.path), recipe.simulated()
     assert kept.channels == now.channels
     # A comment in the vehicle file changes its hash, but nothing that is recorded.
     assert {**kept.metadata, HASH: ""} == {**now.metadata, HASH: ""}

@@ -18,8 +18,9 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from service.virtual.run import record
-from telemetry.arrow_file import read_parquet, write_parquet
+from telemetry.arrow_file import write_parquet
 from telemetry.recording import Recording
+from telemetry.storage import load
 
 FOLDER = Path(__file__).parents[1] / "golden"
 
@@ -92,7 +93,7 @@ GOLDEN = (
 
 @cache
 def _known(recipe: Recipe) -> Recording:
-    return read_parquet(recipe.path) if recipe in GOLDEN else recipe.simulated()
+    return load(recipe.path) if recipe in GOLDEN else recipe.simulated()
 
 
 def recorded(

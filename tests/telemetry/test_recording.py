@@ -139,13 +139,9 @@ def test_truncated_last_line_of_a_csv_is_left_out_and_reported(tmp_path: Path) -
     ("text", "key", "words"),
     [
         ("roll,roll_rate\n1,2\n", "time", "header"),
-        ("", "time", "header"),
-        ("time,roll,roll\n0,1,2\n", "roll", "twice"),
-        ("time,roll\n0.0,0.1\n0.1,abc\n0.2,0.1\n", "line 3", "abc"),
-        ("time,roll\n0.0,0.1\n0.1\n0.2,0.1\n", "line 3", "1 fields for 2 columns"),
-        ("time,roll\n0.0,0.1\n0.0,0.1\n", "time", "row 2"),
-        ("time,roll\n0.1,0.1\n0.0,0.1\n", "time", "row 2"),
-        ("time,roll\n,0.1\n0.1,0.1\n", "time", "not numbers"),
+        ("", "", "no rows"),
+        ("time,roll\n0,0.1,0.2\n1,0.1,0.2\n3,0.1,0.2\n", "line 2", "2 headings for 3 columns"),
+        ("time,roll\n,0.1\n-,0.1\n", "time", "--map time="),
         ("time,roll\n0.0,3.9\n0.1,-4.0\n", "roll", "cannot be rad"),
         ("time,roll\n", "", "no rows"),
         ("time\n0.0\n0.1\n", "", "no channels"),
@@ -193,12 +189,12 @@ def test_parquet_of_other_origin_is_read_and_invalid_columns_are_refused(tmp_pat
     assert read.timestamp_ns.tolist() == [0, 4_000_000]
     assert np.isnan(read["roll"][1])
     pa.parquet.write_table(pa.table({"time": [0.0], "roll": ["steep"]}), path)
-    with pytest.raises(RecordingError, match="of type string") as caught:
+    with pytest.raises(RecordingError, match="no channels"):
         load(path)
-    assert caught.value.key == "roll"
     pa.parquet.write_table(pa.table({"roll": [0.0]}), path)
-    with pytest.raises(RecordingError, match="timestamp_ns"):
+    with pytest.raises(RecordingError, match="--map time=") as caught:
         load(path)
+    assert caught.value.key == "time"
 
 
 def test_table_with_a_name_twice_or_times_beyond_all_sense_is_refused(tmp_path: Path) -> None:
@@ -206,7 +202,7 @@ def test_table_with_a_name_twice_or_times_beyond_all_sense_is_refused(tmp_path: 
     for columns, names, words in (
         ([[0, 1], [0.1, 0.2], [0.3, 0.4]], ["timestamp_ns", "roll", "roll"], "twice"),
         ([[-(2**63), 2**63 - 1], [0.1, 0.2]], ["timestamp_ns", "roll"], "century"),  # their difference overflows
-        ([[float("nan"), 1.0], [0.1, 0.2]], ["time", "roll"], "not numbers"),
+        ([[float("nan"), float("nan")], [0.1, 0.2]], ["time", "roll"], "not numbers"),
     ):
         pa.parquet.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], names), path)
         with pytest.raises(RecordingError, match=words) as caught:

@@ -6,11 +6,14 @@ from service.offline.read import read
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording as Recorded
 from telemetry.recording import describe, instants
+from telemetry.tables.mapping import Source, said_of
 
 __all__ = [
     "Recorded",
     "RecordingError",
+    "Source",
     "describe",
     "instants",
     "read",
+    "said_of",
 ]

@@ -21,7 +21,7 @@ from service.offline.identify import Identified, identified
 from service.offline.machine import name_of, vehicle_of
 from service.offline.model_files import identified as identified_file
 from service.offline.model_files import now, revised, save, started, with_effect, without_effect
-from service.offline.models import Candidates, compared_models
+from service.offline.models import Candidates, columns, compared_models, identified_model
 from service.offline.provenance import provenance
 from service.offline.replay import with_age
 from service.pages.compare import print_comparisons
@@ -45,6 +45,7 @@ __all__ = [
     "Provenance",
     "VehicleFile",
     "before_and_after",
+    "columns",
     "compared",
     "compared_models",
     "comparison_figure",
@@ -52,6 +53,7 @@ __all__ = [
     "headline",
     "identified",
     "identified_file",
+    "identified_model",
     "load_vehicle",
     "method_figure",
     "name_of",

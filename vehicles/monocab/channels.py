@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
 
+TRIM = "trim mass"
+
 CHANNELS = ChannelTable(
     (
         Channel(
@@ -36,9 +38,15 @@ CHANNELS = ChannelTable(
             "trim_position",
             "m",
             "trim mass, 0 in the middle, positive to the right, where its weight gives a positive roll torque",
+            part=TRIM,
         ),
-        Channel("trim_rate", "m/s", "trim mass rate as the drive measures it"),
-        Channel("trim_rate_setpoint", "m/s", "rate sent to the trim drive in this cycle, as quantised in the PDO"),
+        Channel("trim_rate", "m/s", "trim mass rate as the drive measures it", part=TRIM),
+        Channel(
+            "trim_rate_setpoint",
+            "m/s",
+            "rate sent to the trim drive in this cycle, as quantised in the PDO",
+            part=TRIM,
+        ),
         SETPOINT_AGE,
         DRIVE_AGE,
         Channel(

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from service.cli.arguments import effects, models, vehicles
-from service.output import page, print_json
+from service.output import page, people, print_json
 
 if TYPE_CHECKING:
     from diagnosis.revise.result import Revision
@@ -168,8 +169,9 @@ def drop_test(
     from models.file.model_file import read
     from service.cli.inputs import working
 
-    model, support = before_fits(read(file)), _support(vehicle)
-    loaded = [_load(path, vehicle) for path in recordings]
+    written = read(file)
+    model, support = before_fits(written), _support(vehicle)
+    loaded = [_load(path, vehicle, written) for path in recordings]
     with working() as step:
         tests = drop_tests(model, loaded, support=support, progress=lambda text, share: step(text))
     if json:
@@ -217,7 +219,7 @@ def _revise(
     from vehicles.load import refuse_loads
 
     support = _support(vehicle)
-    training, tried = ([_load(path, vehicle) for path in paths] for paths in (recordings, held_out))
+    training, tried = ([_load(path, vehicle, file) for path in paths] for paths in (recordings, held_out))
     refuse_loads((*training, *tried))
     with working() as step:
         return revise(
@@ -239,10 +241,13 @@ def _support(vehicle: str | None) -> float | None:
     return load(vehicle).support
 
 
-def _load(path: Path, vehicle: str | None) -> Recording:
-    from service.cli.inputs import load_recording
-    from telemetry.clock import with_regular_times
-    from telemetry.storage import load
+def _load(path: Path, vehicle: str | None, file: ModelFile) -> Recording:
+    from service.offline.read import read
+    from telemetry.tables.mapping import Said, columns_of
+    from vehicles.file import load
 
-    found = with_regular_times(load(path)) if vehicle is None else load_recording(path, vehicle)
+    known = None if vehicle is None else load(vehicle)
+    found, notes = read(path, known, [file.model], Said(columns_of(file.columns)))
+    for note in notes:
+        people.print(f"[yellow]{escape(f'{path}: {note}')}[/yellow]")
     return replace(found, source=path.name)

@@ -13,6 +13,20 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
+from dialects import (
+    BASE,
+    arduino,
+    in_turns,
+    influx,
+    labview,
+    oscilloscope,
+    own_clocks,
+    picoscope,
+    rigol,
+    ros_stamps,
+    text,
+    tidy,
+)
 from golden import FOLDER
 from hypothesis import strategies as st
 
@@ -26,8 +40,11 @@ from service.offline import replay
 from service.virtual.run import ClosedLoop
 from telemetry import storage
 from telemetry.candump import CandumpReader, format_frame
+from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame
+from telemetry.tables.mapping import NOTHING, said_of
+from telemetry.tables.wanted import Wanted
 from vehicles import registry
 from vehicles.file import load
 from vehicles.load import load_of
@@ -262,6 +279,56 @@ def lines(draw: st.DrawFn) -> bytes:
     return draw(st.sampled_from((b"\r\n", b"\n", b"\r"))).join(b",".join(row) for row in rows)
 
 
+# Tables of others, by the dialects that are read
+
+WANTED = (Wanted("voltage", "V", held=True), Wanted("angle", "rad", measured=True), Wanted("rate", "rad/s"))
+USERS = (NOTHING, said_of(("angle=column3:deg",), ("time=ms",)), said_of((), ("angle=wrapped", "voltage=-1")))
+PIECES = (
+    *FIELDS,
+    b";",
+    b"\t",
+    b"sep=;\n",
+    b"# ",
+    b"time",
+    b"[deg]",
+    b"(ms)",
+    b"2024-03-01T12:00:00.010Z",
+    b"99.99.9999 99:99",
+    b"12:00:00",
+    b"-9999",
+    b"1.234,5",
+    b"t:",
+    b"\xff\xfe",
+    b"\r\n",
+    b"True",
+)
+
+
+@cache
+def dialects() -> tuple[bytes, ...]:
+    """A few lines of each kind of table."""
+    base = text(BASE[:12])
+    made = (influx(), labview(), arduino(), rigol(), picoscope(), oscilloscope(), tidy(), own_clocks(), ros_stamps())
+    return (base, base.replace(b",", b";").replace(b".", b","), *(each[:700] for each in (*made, in_turns(0.003))))
+
+
+def read_dialect(path: Path) -> None:
+    """Read it as it is, and as some users say."""
+    refusals: list[RecordingError] = []
+    for user in USERS:
+        try:
+            found = storage.load_all(path, WANTED, user)
+        except RecordingError as error:
+            refusals.append(error)
+            continue
+        for each in found:
+            assert np.all(np.diff(each.timestamp_ns) > 0)
+            assert all(len(column) == len(each) for column in each.values.values())
+    assert all(each.remedy for each in refusals)
+    if len(refusals) == len(USERS):
+        raise refusals[0]
+
+
 # Raw logs
 
 
@@ -337,6 +404,13 @@ TARGETS = (
         of_file(".csv", ask),
         lambda: st.one_of(lines(), anything([written(".csv")[:4000]], FIELDS)),
         lambda: [written(".csv")],
+    ),
+    Target(
+        "table",
+        "a table of another program",
+        of_file(".csv", read_dialect),
+        lambda: anything(list(dialects()), PIECES),
+        lambda: list(dialects()),
     ),
     Target(
         "log",

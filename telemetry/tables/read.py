@@ -1,0 +1,110 @@
+"""A file of any kind of table as recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording, describe
+from telemetry.tables.csv_text import read_text
+from telemetry.tables.mapping import NOTHING, Said
+from telemetry.tables.matched import Matched, matched
+from telemetry.tables.raw import RawTable
+from telemetry.tables.several_clocks import with_one_clock
+from telemetry.tables.several_rates import aligned
+from telemetry.tables.stamps import Stamped, mended
+from telemetry.tables.times import times_of
+from telemetry.tables.wanted import Wanted
+
+BINARY = {b"ARROW1": "arrow", b"FEA1": "arrow", b"\xff\xff\xff\xff": "arrow", b"PAR1": "parquet"}
+"""How files of columns begin, whatever their name."""
+BY_SUFFIX = {".arrow": "arrow", ".feather": "arrow", ".ipc": "arrow", ".parquet": "parquet", ".pq": "parquet"}
+TEXT = (".csv", ".txt", ".tsv", ".dat", ".lvm", ".tab")
+SUFFIXES = (*BY_SUFFIX, *TEXT)
+
+
+def read_table(path: Path, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:
+    """The recordings in a file: one, or several if the logger began anew.
+
+    `wanted` are the channels that are needed, which are found by their names and converted to their units; `user` is
+    what the user says of the columns. What was assumed is in `Recording.assumed`.
+    Raises RecordingError, OSError.
+    """
+    return recordings(raw_table(path), wanted, user)
+
+
+def raw_table(path: Path) -> RawTable:
+    """The table as it is in the file. Raises RecordingError, OSError."""
+    content, source = path.read_bytes(), str(path)
+    kind = next((kind for begin, kind in BINARY.items() if content.startswith(begin)), BY_SUFFIX.get(path.suffix, ""))
+    if not kind:
+        return read_text(content, source)
+    from telemetry.tables import arrow_columns
+
+    return arrow_columns.read_arrow(content, source) if kind == "arrow" else arrow_columns.read_parquet(content, source)
+
+
+def recordings(table: RawTable, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:
+    """The recordings in a table. Raises RecordingError."""
+    if len(table) == 0:
+        raise RecordingError(table.source, "", "holds no rows", remedy="Record again, for longer.")
+    if not table.columns:
+        raise RecordingError(table.source, "", "has no columns of numbers", remedy="Record again, or add some columns.")
+    if not user.columns.get("time"):
+        table = with_one_clock(table, wanted)
+    times = times_of(table, user)
+    channels, said = matched(table, wanted, user, times.columns)
+    if not channels:
+        raise RecordingError(table.source, "", "holds no channels", remedy="Record again, or add some columns.")
+    said = [*table.said, *filter(None, [times.said]), *said]
+    stack = np.stack([each.values for each in channels], axis=1)
+    parts, done = mended(times, stack, table.lines)
+    said += done
+    if not parts:
+        remedy = "Name another column: --map time=COLUMN:s."
+        raise RecordingError(table.source, "time", "has values that are not numbers, in all rows", remedy=remedy)
+    count = len(parts)
+    found = (_recording(table, channels, part, wanted, said, place, count) for place, part in enumerate(parts))
+    return tuple(replace(each, settled=user.settled) for each in found)
+
+
+def _recording(
+    table: RawTable,
+    channels: Sequence[Matched],
+    part: Stamped,
+    wanted: Sequence[Wanted],
+    said: Sequence[str],
+    place: int,
+    count: int,
+) -> Recording:
+    here = [replace(each, values=part.values[:, column].copy()) for column, each in enumerate(channels)]
+    rows, changed, more = aligned(part.ns, here, wanted)
+    values = {each.name: changed.get(each.name, each.values)[rows] for each in here}
+    names = {each.name: each.unit for each in here}
+    rest, resting = _at_rest(values, wanted, int(np.count_nonzero(rows)))
+    return Recording(
+        channels=describe({**names, **{each.name: each.unit for each in rest}}),
+        timestamp_ns=part.ns[rows],
+        values={**values, **{each.name: np.zeros(int(np.count_nonzero(rows))) for each in rest}},
+        metadata=table.metadata,
+        truncated=table.truncated,
+        source=table.source if count == 1 else f"{table.source} (part {place + 1} of {count})",
+        assumed=(*said, *more, *resting),
+    )
+
+
+def _at_rest(values: dict[str, np.ndarray], wanted: Sequence[Wanted], rows: int) -> tuple[list[Wanted], list[str]]:
+    """The channels of parts that the vehicle does not have, if the table is of that vehicle."""
+    if not any(each.name in values for each in wanted if not each.part):
+        return [], []
+    found, said = [], []
+    for part in dict.fromkeys(each.part for each in wanted if each.part):
+        channels = [each for each in wanted if each.part == part]
+        if rows and not any(each.name in values for each in channels):
+            found += channels
+            said.append(f"{', '.join(each.name for each in channels)}: not there, so the {part} is at rest at 0")
+    return found, said
