@@ -290,12 +290,13 @@ def _set_heartbeats(sdo: SdoDialogue, supervision: Supervision) -> bool:
 
 
 def _set_own_heartbeat(sdo: SdoDialogue, supervision: Supervision) -> None:
-    """Of another period than asked for, two must fit into the time that is waited for one: a frame may get lost."""
-    entry = od.PRODUCER_HEARTBEAT
+    """Another period than asked for will do if two fit into the time that is waited for one (a frame may get lost), and
+    if it is not so short that it takes much of the bus."""
+    entry, wanted = od.PRODUCER_HEARTBEAT, milliseconds(supervision.heartbeat_period)
     try:
-        sdo.set(entry, milliseconds(supervision.heartbeat_period))
+        sdo.set(entry, wanted)
     except Refused:
-        if not 0 < 2 * sdo.read(entry) <= milliseconds(supervision.heartbeat_timeout):
+        if not wanted <= 2 * sdo.read(entry) <= milliseconds(supervision.heartbeat_timeout):
             raise
 
 
