@@ -13,6 +13,7 @@ or channel).
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from math import copysign, inf, isfinite, nan
@@ -178,8 +179,15 @@ def _check(model: Model, recording: Recording) -> None:
                 Status.MISSING_CHANNEL,
                 f"channel {name}",
                 f"is not in {recording.source}, which has {', '.join(recording.channels.names)}",
-                remedy=f"name its column (--map {name}=COLUMN), record it, or use a model that does without (--model).",
+                remedy=f"{_near(name, recording)}record it, or use a model that does without (--model).",
             )
+
+
+def _near(name: str, recording: Recording) -> str:
+    """The option that names the column of a channel, with one whose name is similar."""
+    known = recording.channels.names
+    near = [each for each in known if name.lower() in each.lower()] or difflib.get_close_matches(name, known, n=1)
+    return f"name its column (--map {name}={near[0]!r}?), " if near else f"name its column (--map {name}=COLUMN), "
 
 
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:

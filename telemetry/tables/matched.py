@@ -71,6 +71,7 @@ def _source(table: RawTable, rest: Sequence[Column], wanted: Wanted, user: Said)
         lambda column: column.name == name,
         lambda column: column.name.lower() == name.lower() or column.heading.lower() == name.lower(),
         lambda column: bool(plain) and plain in (_plain(column.name), _plain(column.heading)),
+        lambda column: _with_unit(column.name, name, wanted.unit),
         lambda column: _plain(re.split(r"[/.]", column.name)[-1]) == plain != "",
     )
     for fits in ways:
@@ -88,6 +89,13 @@ def _source(table: RawTable, rest: Sequence[Column], wanted: Wanted, user: Said)
         remedy = f"Is it {near[0]!r}?" if near else f"Name one of these: --map {wanted.name}=COLUMN."
         raise RecordingError(table.source, wanted.name, what, remedy=remedy)
     return None
+
+
+def _with_unit(column: str, name: str, unit: str) -> bool:
+    """Whether a column is called by the name and the unit of a channel: voltage_V."""
+    bare, _, tail = column.rpartition("_")
+    found, own = unit_of(tail), unit_of(unit)
+    return found is not None and found == own and _plain(bare) == _plain(name) != ""
 
 
 def _plain(name: str) -> str:

@@ -7,7 +7,9 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from telemetry.documents import from_json
 from telemetry.errors import RecordingError
 from telemetry.tables.fields import Decimal, decimal_of, is_hole, is_number
 
@@ -45,15 +47,20 @@ def rows_of(text: str, source: str) -> Rows:
         lines and lines[0].strip() == "sep="
     ):
         given, first = found[1] if found else "\t", 1
-    filled = [number for number in range(first, len(lines)) if lines[number].strip(" \t,;|\x1a\x1b")]
+    filled = _filled(lines, first)
     if not filled:
         raise RecordingError(source, "", "holds no rows", remedy="Record again, for longer.")
+    lines, labelled = _bare(lines, filled)
+    filled = _filled(lines, first)
     half = filled[len(filled) // 2 :] if len(filled) > 2 * 4 else filled
     sample = [lines[number] for number in half[:SAMPLE]]
     separator = given or _separator(sample)
     quoted = any('"' in line for line in (*sample, lines[filled[0]]))
     rows = [Row(number + 1, fields) for number, fields in _fields(lines, filled, separator, quoted, source)]
-    labels = _labels(rows)
+    labels = () if labelled else _labels(rows)
+    if labelled:
+        rows = [Row(0, labelled), *rows]
+        said.append(f"fields: JSON in each line ({', '.join(labelled)})")
     if labels:
         rows = [Row(0, labels), *(_unlabelled(row, labels) for row in rows)]
         said.append(f"fields: labelled in each line ({', '.join(labels)})")
@@ -68,6 +75,41 @@ def rows_of(text: str, source: str) -> Rows:
     if quoted and '"' in lines[half[0]]:
         said.append("fields in quotes")
     return Rows(tuple(rows), separator, decimal, tuple(said))
+
+
+def _filled(lines: Sequence[str], first: int) -> list[int]:
+    """The lines that are not blank."""
+    return [number for number in range(first, len(lines)) if lines[number].strip(" \t,;|\x1a\x1b")]
+
+
+def _bare(lines: Sequence[str], filled: Sequence[int]) -> tuple[list[str], tuple[str, ...]]:
+    """Lines without brackets around them and without rulers; those of JSON objects as fields, with their labels."""
+    found = [line if set(line) - set("-=+:|,; \t") else "" for line in lines] if len(filled) > 1 else list(lines)
+    filled = [number for number in filled if found[number].strip()]
+    ends = {(found[number].strip()[0], found[number].strip()[-1]) for number in filled}
+    if ends <= {("[", "]"), ("(", ")")}:
+        return [line.strip()[1:-1] for line in found], ()
+    if ends != {("{", "}")}:
+        return found, ()
+    try:
+        objects = {number: _flat(from_json(found[number])) for number in filled}
+    except ValueError:
+        return found, ()
+    labels = tuple(dict.fromkeys(label for each in objects.values() for label in each))
+    for number, each in objects.items():
+        found[number] = "\t".join(each.get(label, "") for label in labels)
+    return found, labels if len(labels) > 1 else ()
+
+
+def _flat(value: Any, path: str = "") -> dict[str, str]:
+    """The numbers and texts of a JSON object, by their paths."""
+    if isinstance(value, dict):
+        return {
+            name: text for key, each in value.items() for name, text in _flat(each, f"{path}/{key}".lstrip("/")).items()
+        }
+    if value is None or isinstance(value, list):
+        return {path: ""}
+    return {path: str(value).replace("\t", " ").replace("\n", " ")}
 
 
 def split_line(line: str, separator: str) -> tuple[str, ...]:

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.tables.times import Times
+from telemetry.tables.times import DAY, Times
 
-DAY = 86_400.0
 GAP = 10
 """Periods between the rows before and after a clock was set: a gap, so no fit goes across it."""
 STEP = 2.5
@@ -154,7 +153,7 @@ def _parts(found: Stamped, said: list[str]) -> list[Stamped]:
     begins = [0]
     for row in (np.flatnonzero(np.diff(found.ns) < 0) + 1).tolist():
         if ns[row] <= ns[begins[-1]] + GAP * period:
-            said.append(f"time: begins anew in line {found.lines[row]}: two recordings")
+            said.append(f"time: begins anew in line {found.lines[row]}: another recording")
             begins.append(row)
             continue
         back = float(ns[row - 1] - ns[row])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ _NAMES_TEXT = (
     "timestamp_ns time __time t timestamp time_stamp _time datetime date_time elapsed elapsed_time"
     " time_elapsed rel_time relative_time seconds second secs sec s millis micros millisec milliseconds"
     " microseconds nanoseconds ms us ns timestamp_s time_boot_ms timeus rosbagtimestamp x_value x-value x"
-    " zeit zeitstempel uhrzeit temps tiempo tempo stamp ts clock tick ticks systime utc gps_time date"
+    " zeit zeitstempel uhrzeit temps tiempo tempo stamp ts clock tick ticks systime utc"
+    " gps_time gps_tow tow epoch uptime runtime datenum date"
 )
 NAMES = tuple(_NAMES_TEXT.split())
 """Names of columns of time, in lower case; the first of them that a table has, if several are as fine."""
@@ -27,6 +28,11 @@ IN_NAMES = {word: unit for unit, words in _WORDS.items() for word in words.split
 """Names of columns of time that state their unit."""
 EPOCH = (946_684_800.0, 4_102_444_800.0)
 """s since 1970: the years 2000 to 2100."""
+DAY = 86_400.0
+"""s."""
+DAYS = ((36_526.0, 73_050.0), (730_486.0, 767_010.0))
+"""The same in days as Excel and MATLAB count them."""
+_MILLI = ("ms", "msec", "millis", "millisecond", "milliseconds")
 _SECONDS, _PARTS = ("sec", "secs", "seconds"), {"nsec": 1, "nsecs": 1, "nanosec": 1, "nanoseconds": 1, "usec": 1000}
 
 
@@ -59,6 +65,8 @@ def times_of(table: RawTable, user: Said) -> Times:
     parts = _seconds_and_parts(table, column)
     if parts is not None and not stated:
         return parts
+    if (whole := _seconds_and_milliseconds(table, column)) is not None and not stated:
+        return whole
     if column.kind in ("date", "time of day"):
         exact = column.exact if column.exact is not None else np.nan_to_num(column.values).astype(np.int64)
         said = f"time: column {column.heading}, {'dates' if column.kind == 'date' else 'times of day'}"
@@ -147,6 +155,8 @@ def _unit(column: Column, stated: str) -> tuple[Unit, str]:
             return found, "" if found.factor == 1.0 else f"in {name}, by its name"
     known = np.abs(column.values[np.isfinite(column.values)])
     middle = float(np.median(known)) if len(known) else 0.0
+    if "date" in column.heading.lower() and any(begin < middle < end for begin, end in DAYS):
+        return Unit("s", DAY), "in days, by its name and its size"
     for factor, name in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
         if EPOCH[0] < middle * factor < EPOCH[1]:
             return Unit("s", factor), f"in {name} since 1970, by its size"
@@ -160,6 +170,8 @@ def _scaled(column: Column, unit: Unit, why: str, source: str) -> Times:
     heading = "" if column.heading == "time" else f"column {column.heading}"
     said = ", ".join(filter(None, (heading, why)))
     said = f"time: {said}" if said else ""
+    if unit.factor == DAY and known.any():  # counted from an epoch of their own
+        column = replace(column, values=column.values - float(np.floor(column.values[known][0])), exact=None)
     beyond = np.flatnonzero(known & ~(np.abs(column.values) < FARTHEST / factor))
     if len(beyond):
         row = int(beyond[0])
@@ -170,6 +182,21 @@ def _scaled(column: Column, unit: Unit, why: str, source: str) -> Times:
     ns = np.zeros(len(known), dtype=np.int64)
     ns[known] = np.round(column.values[known] * factor).astype(np.int64)
     return Times(ns, known, (column.heading,), unit.factor if column.exact is not None else 0.0, False, said)
+
+
+def _seconds_and_milliseconds(table: RawTable, column: Column) -> Times | None:
+    """A date or a time of day in whole seconds, with a column of milliseconds from 0 to 999 beside it."""
+    milli = next((each for each in table.columns if each.heading.strip().lower() in _MILLI), None)
+    clocks = [each for each in table.columns if each.kind in ("date", "time of day") and each.exact is not None]
+    if milli is None or milli.exact is None or not clocks or not 0 <= milli.exact.min() <= milli.exact.max() < 1000:
+        return None
+    clock = next((each for each in clocks if each is column), None) or max(clocks, key=_distinct)
+    if clock.exact is None or (clock.exact % 1_000_000_000).any():
+        return None
+    ns = clock.exact + 1_000_000 * milli.exact
+    said = f"time: columns {clock.heading} and {milli.heading}"
+    headings = (clock.heading, milli.heading)
+    return Times(ns, np.ones(len(ns), bool), headings, 0.0, clock.kind == "time of day", said)
 
 
 def _seconds_and_parts(table: RawTable, column: Column) -> Times | None:

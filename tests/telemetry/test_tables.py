@@ -486,6 +486,34 @@ READ = (
     Read("Rigol", rigol(), "units from a row"),
     Read("PicoScope", picoscope(), "voltage: mV, converted to V"),
     Read("LabVIEW", labview(), "decimal mark: comma", suffix=".lvm"),
+    Read(
+        "JSON lines",
+        text([f'{{"time":{t},"motor":{{"voltage":{u}}},"angle":{a}}}' for t, u, a in ROWS]),
+        "JSON in each line",
+    ),
+    Read(
+        "brackets",
+        text([f"[{', '.join(row)}]" for row in ROWS]),
+        maps=("time=column1", "voltage=column2", "angle=column3"),
+    ),
+    Read(
+        "Markdown", text(["| time | voltage | angle |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in ROWS)])
+    ),
+    Read("days of Excel", timed(lambda i: f"{45352.5 + i / 8_640_000:.12f}", "Date"), "in days", time_limit=1e-5),
+    Read("days of MATLAB", timed(lambda i: f"{739312.5 + i / 8_640_000:.10f}", "datenum"), "in days", time_limit=2e-5),
+    Read(
+        "milliseconds beside the time",
+        headed(
+            "Time",
+            "ms",
+            "voltage",
+            "angle",
+            rows=[(date(i, "%H:%M:%S"), f"{10 * i % 1000}", *row[1:]) for i, row in enumerate(ROWS)],
+        ),
+        "columns Time and ms",
+    ),
+    Read("unit after the name", headed("Time_s", "voltage_V", "angle_rad"), "column 'voltage_V'"),
+    Read("rulers", text([BASE[0], "-----,-----,-----", *BASE[1:]])),
     Read("Arduino", arduino(), "labelled in each line", suffix=".txt"),
     Read("InfluxDB", influx(), "dates"),
     # Columns of Arrow
