@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,26 +153,6 @@ class Recording:
         columns = [self.values[name].tolist() if name in self.values else unknown for name in table.names]
         for timestamp_ns, row in zip(self.timestamp_ns.tolist(), zip(*columns, strict=True), strict=True):
             yield Frame(timestamp_ns, row)
-
-
-def instants(times: NDArray[Any], unit: float, source: str) -> NDArray[np.int64]:
-    """A column of times, counted in 1 / `unit` ns, as time stamps in ns, (n,). Raises RecordingError."""
-    limit = FARTHEST if unit == 1.0 else FARTHEST / unit
-    known = (times >= -limit) & (times <= limit)
-    if not known.all():
-        row = int(np.flatnonzero(~known)[0])
-        what = "is outside of this century" if np.isfinite(times[row]) else "has values that are not numbers"
-        raise RecordingError(source, "time", f"{what}, the first in row {row + 1}", remedy="Leave these rows out.")
-    if unit == 1.0 and times.dtype.kind in "iu":
-        return times.astype(np.int64)
-    return np.round(times.astype(np.float64) * unit).astype(np.int64)
-
-
-def refuse_repeated(names: Sequence[str], source: str) -> None:
-    """Raises RecordingError for the first of `names` that occurs twice."""
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise RecordingError(source, name, "occurs twice", remedy="Give every column a name of its own.")
 
 
 def describe(names: Mapping[str, str]) -> ChannelTable:

@@ -11,9 +11,9 @@ import pyarrow.ipc
 import pyarrow.parquet
 
 from telemetry.errors import RecordingError
-from telemetry.tables.csv_text import unique
-from telemetry.tables.fields import Decimal, numbers
 from telemetry.tables.raw import Column, RawTable
+from telemetry.tables.text.fields import Decimal, numbers
+from telemetry.tables.text.text_file import unique
 from telemetry.tables.units import name_and_unit
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"

@@ -10,13 +10,13 @@ import numpy as np
 
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording, describe
-from telemetry.tables.csv_text import read_text
 from telemetry.tables.mapping import NOTHING, Said
 from telemetry.tables.matched import Matched, matched
 from telemetry.tables.raw import RawTable
 from telemetry.tables.several_clocks import with_one_clock
 from telemetry.tables.several_rates import aligned
 from telemetry.tables.stamps import Stamped, mended
+from telemetry.tables.text.text_file import read_text
 from telemetry.tables.times import times_of
 from telemetry.tables.wanted import Wanted
 

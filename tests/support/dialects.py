@@ -131,7 +131,7 @@ def labview() -> bytes:
 
 def arduino() -> bytes:
     said = ["Booting...", "IMU ok", *(f"t:{row[0]},voltage:{row[1]},angle:{row[2]}" for row in ROWS)]
-    return text(["1,angle:0.0" if False else "42", *said], "\r\n")
+    return text(["42", *said], "\r\n")
 
 
 def influx() -> bytes:

@@ -70,9 +70,11 @@ class Decimal:
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """A column of numbers: `values` (n,), NaN where not known; `ns` int64 (n,) if they are dates or integers that are
-    kept exactly; `unit` written beside each; `kind` is "number", "date", "time of day", "yes or no" or "text"; `odd`
-    are fields that could not be read, with their rows."""
+    """A column of numbers: `values` (n,), NaN where not known; `exact` int64 (n,) if all are whole numbers or dates.
+
+    `kind` is "number", "date" or "time of day" (both in ns), "yes or no", or "text". `unit` is written beside each.
+    `odd` are the fields that could not be read, with their rows, and `sentinels` the number of those like -9999.
+    """
 
     values: NDArray[np.float64]
     kind: str = "number"

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from telemetry.tables.decoded import decoded
-from telemetry.tables.fields import Decimal, numbers
-from telemetry.tables.head import counts_up, head_of
 from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.split import rows_of
+from telemetry.tables.text.decoded import decoded
+from telemetry.tables.text.fields import Decimal, numbers
+from telemetry.tables.text.head import counts_up, head_of
+from telemetry.tables.text.split import rows_of
 from telemetry.tables.units import name_and_unit
 
 FEW = 40
