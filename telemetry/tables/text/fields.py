@@ -58,6 +58,13 @@ class Decimal:
     mark: str = "."
     group: str = ""
 
+    def pointed(self, fields: Sequence[str]) -> Sequence[str]:
+        """All `fields` with a decimal point and without groups, by the fastest way."""
+        if self == Decimal():
+            return fields
+        text = "\n".join(field.replace("\n", " ") for field in fields)
+        return text.replace(self.group or "\0", "").replace(self.mark, ".").split("\n")
+
     def plain(self, text: str) -> str:
         """`text` as Python writes numbers."""
         text = text.strip().strip("\"'").replace("\N{MINUS SIGN}", "-").replace("\xa0", " ").replace("\u202f", " ")
@@ -120,33 +127,30 @@ def decimal_of(fields: Sequence[str], separator: str) -> Decimal:
 
 def numbers(fields: Sequence[str], decimal: Decimal) -> Numbers:
     """A column of text as numbers. `kind` is "text" if less than half of what it holds are numbers."""
-    if decimal == Decimal():
-        found = _quickly(fields)
-        if found is not None:
-            return found
+    texts = decimal.pointed(fields)
+    found = _quickly(texts)
+    if found is not None:
+        return found
     values = np.full(len(fields), nan)
-    known: dict[str, float] = {}
     units: Counter[str] = Counter()
     odd: list[tuple[int, str]] = []
     truth = holes = 0
-    for row, field in enumerate(fields):
-        if field in known:
-            values[row] = known[field]
+    for row, (text, field) in enumerate(zip(texts, fields, strict=True)):
+        if (plain := _float(text)) is not None:
+            values[row] = plain
+            holes += plain != plain
             continue
-        text = field.strip()
-        if is_hole(text):
+        if is_hole(field):
             holes += 1
             continue
-        value, unit = _value(text, decimal)
+        value, unit = _value(field.strip(), decimal)
         if value is None:
-            odd.append((row, text))
+            odd.append((row, field.strip()))
             continue
         if unit == "yes or no":
             truth += 1
         elif unit:
             units[unit] += 1
-        elif len(known) < 100_000:
-            known[field] = value
         values[row] = value
     filled = len(fields) - holes
     if filled == 0:
@@ -155,9 +159,7 @@ def numbers(fields: Sequence[str], decimal: Decimal) -> Numbers:
         return _dates(fields, len(odd)) or Numbers(values, kind="text", odd=tuple(odd))
     kind = "yes or no" if truth > HALF * filled else "number"
     unit = units.most_common(1)[0][0] if sum(units.values()) > HALF * filled else ""
-    return Numbers(
-        values, kind, unit, _exact(fields, decimal) if not (odd or holes) else None, tuple(odd), _sentinels(values)
-    )
+    return Numbers(values, kind, unit, _exact(texts) if not (odd or holes) else None, tuple(odd), _sentinels(values))
 
 
 def stamp_ns(text: str) -> int | None:
@@ -173,23 +175,30 @@ def stamp_ns(text: str) -> int | None:
     return None
 
 
-def _quickly(fields: Sequence[str]) -> Numbers | None:
+def _quickly(texts: Sequence[str]) -> Numbers | None:
     """Plain numbers only, by the fastest way."""
-    if any("_" in each for each in fields):
+    if any("_" in each for each in texts):
         return None
     try:
-        values = np.array(list(map(float, fields)), dtype=np.float64)
+        values = np.array(list(map(float, texts)), dtype=np.float64)
     except ValueError:
         return None
-    return Numbers(values, exact=_exact(fields, Decimal()), sentinels=_sentinels(values))
+    return Numbers(values, exact=_exact(texts), sentinels=_sentinels(values))
 
 
-def _exact(fields: Sequence[str], decimal: Decimal) -> NDArray[np.int64] | None:
+def _float(text: str) -> float | None:
+    try:
+        return float(text) if "_" not in text else None
+    except ValueError:
+        return None
+
+
+def _exact(texts: Sequence[str]) -> NDArray[np.int64] | None:
     """Whole numbers as they are: a float has no ns of this century."""
-    if not fields or not decimal.plain(fields[0]).lstrip("+-").isdigit():
+    if not texts or not texts[0].strip().lstrip("+-").isdigit():
         return None
     try:
-        return np.array([int(decimal.plain(each)) for each in fields], dtype=np.int64)
+        return np.array(list(map(int, texts)), dtype=np.int64)
     except (ValueError, OverflowError):
         return None
 

@@ -52,6 +52,8 @@ def head_of(found: Rows, source: str) -> Head:
         raise RecordingError(source, "", "has no columns of numbers", remedy=remedy)
 
     def is_data(row: Row) -> bool:
+        if len(row.fields) == width and _is_plain(row.fields[numeric[0]]):
+            return True
         fields = [row.fields[place].strip() if place < len(row.fields) else "" for place in numeric]
         known = [each for each in fields if not is_hole(each)]
         good = sum(is_number(each, found.decimal) for each in known)
@@ -88,6 +90,11 @@ def head_of(found: Rows, source: str) -> Head:
     units = ("", *units) if shifted else units
     size = len(headings)
     return Head(headings, (*units, *[""] * size)[:size], tuple(data), tuple(left_out), tuple(said), truncated)
+
+
+def _is_plain(text: str) -> bool:
+    """Whether a field is a plain number, as all of them are in most rows of data."""
+    return text.strip("+-\"' ")[:1].isdigit() and text.strip("+-\"' ")[-1:].isdigit()
 
 
 def _later(rows: Sequence[Row]) -> Sequence[Row]:
