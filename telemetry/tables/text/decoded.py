@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 
 from telemetry.errors import RecordingError
 
@@ -21,7 +22,8 @@ _OTHERS = (
     (b"MATLAB 5.0", "is a MAT file", "In MATLAB: writetable(T, 'run.csv')."),
     (b"SQLite format", "is a database", "Write the columns as CSV."),
 )
-CONTROL = frozenset(range(32)) - {9, 10, 12, 13, 27}
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1a\x1c-\x1f]")
+"""Characters that are in no text, but for a few that a serial line makes."""
 HALF = 0.4
 """Share of zeros among every second byte from which on text is UTF-16 without a mark; ASCII has nearly half."""
 
@@ -48,7 +50,7 @@ def decoded(content: bytes, source: str) -> tuple[str, list[str]]:
             said.append(f"{len(body) - len(rest)} zero bytes at the end are left out: the file was not closed")
         body = rest
     text = _text(body, encoding, said)
-    if text is None or "\0" in text or sum(text.count(chr(each)) for each in CONTROL) > 1 + len(text) // 1000:
+    if text is None or "\0" in text or len(_CONTROL.findall(text)) > 1 + len(text) // 1000:
         remedy = "Save it as CSV in UTF-8, or give its format by its suffix."
         raise RecordingError(source, "", "is not text", remedy=remedy)
     return text.replace("\r\n", "\n").replace("\r", "\n"), said

@@ -16,6 +16,8 @@ from telemetry.tables.text.fields import Decimal, decimal_of, is_hole, is_number
 SAMPLE = 60
 """Lines that are looked at to find the separator: from the second half of a file, where there is no heading."""
 SEPARATORS = (",", ";", "\t", "|", " ")
+RULES = frozenset("-=+:|,; \t")
+"""Characters of a line that separates, as of Markdown."""
 _WORDS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "vertical bar", " ": "spaces"}
 _LABELLED = re.compile(r"\s*(?P<label>[A-Za-z_][\w./ \[\]-]*?)\s*[:=]\s*(?P<value>[-+]?[\d.][^:=]*|nan|NaN)\s*$")
 
@@ -84,7 +86,7 @@ def _filled(lines: Sequence[str], first: int) -> list[int]:
 
 def _bare(lines: Sequence[str], filled: Sequence[int]) -> tuple[list[str], tuple[str, ...]]:
     """Lines without brackets around them and without rulers; those of JSON objects as fields, with their labels."""
-    found = [line if set(line) - set("-=+:|,; \t") else "" for line in lines] if len(filled) > 1 else list(lines)
+    found = ["" if line[:1] in RULES and not set(line) - RULES else line for line in lines]
     filled = [number for number in filled if found[number].strip()]
     ends = {(found[number].strip()[0], found[number].strip()[-1]) for number in filled}
     if ends <= {("[", "]"), ("(", ")")}:
