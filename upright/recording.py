@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from upright.layers.recordings import Recorded, RecordingError, describe, instants, read, said_of
+from upright.layers.recordings import Recorded, RecordingError, describe, read, said_of
 from upright.shown import frame_of
 
 if TYPE_CHECKING:
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
     from upright.layers.recordings import Source
     from upright.layers.results import GreyBox, Picture, VehicleFile
+
+
+FARTHEST = 9e9
+"""s from 1970 that nanoseconds can count."""
 
 
 class RecordingWarning(UserWarning):
@@ -60,9 +64,13 @@ class Recording(Recorded):
             remedy = "Leave out columns that are not numbers."
             raise RecordingError(source, "", f"has a column that is not of numbers ({error})", remedy=remedy) from error
         time = values.pop("time")
+        unknown = np.flatnonzero(~(np.abs(time) < FARTHEST))
+        if len(unknown):
+            what = f"is not a number of seconds, first in row {unknown[0] + 1}"
+            raise RecordingError(source, "time", what, remedy="Leave these rows out.")
         return cls(
             channels=describe({name: (units or {}).get(name, "") for name in values}),
-            timestamp_ns=instants(time, 1e9, source),
+            timestamp_ns=np.round(time * 1e9).astype(np.int64),
             values=values,
             metadata=metadata or {},
             source=source,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from service.offline.read import read
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording as Recorded
-from telemetry.recording import describe, instants
+from telemetry.recording import describe
 from telemetry.tables.mapping import Source, said_of
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "RecordingError",
     "Source",
     "describe",
-    "instants",
     "read",
     "said_of",
 ]
