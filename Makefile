@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test faults fuzz benchmark soak wheels deb install uninstall lock audit clean
+.PHONY: help demo test docs lint native-test hurried-test patient-test thorough-test vcan-test faults fuzz benchmark soak wheels deb install uninstall lock audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -28,6 +28,10 @@ demo: $(READY) ## the whole story on a virtual bus, no hardware needed; ARGS="--
 
 test: lint hurried-test ## lint and the tests, those on real SocketCAN and under a real systemd included
 	tests/setup/beside "$(MAKE) --no-print-directory patient-test" "$(MAKE) --no-print-directory vcan-test"
+
+docs: $(READY) ## the manual as a site, to be read from disk, with search: dist/docs/index.html
+	rm -rf dist/docs
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/site/build.py dist/docs
 
 lint: $(READY) ## ruff, mypy --strict, import contract
 	$(BIN)/ruff check .

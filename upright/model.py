@@ -54,7 +54,7 @@ class Model:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The effects that were added: EFFECT, or EFFECT@PLACE at a place other than the first that can have it."""
+        """The effects that were added: `EFFECT`, or `EFFECT@PLACE` at a place other than the first that can have it."""
         return tuple(each.name for each in self.file.model.effects)
 
     @property
