@@ -38,13 +38,13 @@ BATCH = 1000
 CONVERTED = (*storage.SUFFIXES, *export.SUFFIXES)
 
 
-def load(path: Path, vehicle: VehicleFile) -> Recording:
+def load(path: Path, vehicle: VehicleFile, database: Path | None = None) -> Recording:
     """A recording of the vehicle from a file of any kind, including CAN logs, with its original time stamps.
 
     Raises:
         RecordingError: the file cannot be read, or contains no frames of this vehicle.
     """
-    return max(load_all(path, vehicle), key=len)
+    return max(load_all(path, vehicle, database=database), key=len)
 
 
 def load_all(
