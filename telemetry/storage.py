@@ -1,5 +1,5 @@
 """Files of recordings, by their suffix: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv`
-(column names = channel names) are written; tables of others are read, too (telemetry.tables).
+(column names = channel names) are written; files of others are read, too (telemetry.formats, telemetry.tables).
 
 A raw `.log` needs the vehicle file to become a recording, see `service.offline.replay`.
 """
@@ -12,10 +12,10 @@ from pathlib import Path
 
 from telemetry.csv_file import write_csv
 from telemetry.errors import RecordingError
+from telemetry.formats.files import raw_tables, unknown_suffix
 from telemetry.recording import Recording
 from telemetry.tables.mapping import NOTHING, Said
-from telemetry.tables.read import SUFFIXES as READ
-from telemetry.tables.read import read_table
+from telemetry.tables.read import recordings
 from telemetry.tables.wanted import Wanted
 
 SUFFIXES = (".arrow", ".parquet", ".csv")
@@ -36,7 +36,7 @@ def load(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHING) 
 
 
 def load_all(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:
-    """All recordings in a file. What kind of table it is, is found by its content and its suffix.
+    """All recordings in a file. Which format it has, is found by its content, or else by its suffix.
 
     `wanted` are the channels that a model needs, and `user` is what the user says of the columns; what was assumed
     besides is in `Recording.assumed`. A stream that was cut off (by a crash, a full disk) is read up to its last whole
@@ -46,10 +46,8 @@ def load_all(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHI
         RecordingError: the file cannot be read, is of another format, or holds no rows.
     """
     path = Path(path)
-    if path.suffix.lower() not in READ:
-        raise _unknown_suffix(path, path.suffix, READ)
     try:
-        return read_table(path, wanted, user)
+        return recordings(raw_tables(path), wanted, user)
     except OSError as error:
         raise RecordingError(
             str(path), "", f"cannot be read: {error.strerror or error}", remedy="Check the path and its permissions."
@@ -70,14 +68,5 @@ def save(recording: Recording, path: Path | str) -> None:
             write_parquet(recording, path)
         case ".csv":
             write_csv(recording, path)
-        case suffix:
-            raise _unknown_suffix(path, suffix, SUFFIXES)
-
-
-def _unknown_suffix(path: Path, suffix: str, known: Sequence[str]) -> RecordingError:
-    what = f"recordings are not stored as {suffix or 'files without a suffix'}"
-    if suffix == ".log":
-        remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
-    else:
-        remedy = f"Use one of {', '.join(known)}."
-    return RecordingError(str(path), "", what, remedy=remedy)
+        case _:
+            raise unknown_suffix(path, SUFFIXES)

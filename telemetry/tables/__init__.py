@@ -1,4 +1,5 @@
-"""Tables that others wrote, read as recordings: CSV of every dialect, Parquet, Arrow and Feather.
+"""Tables that others wrote, read as recordings: CSV of every dialect, Parquet, Arrow and Feather, and those of
+telemetry.formats.
 
 The files, in the order in which a table passes them: text and arrow_columns (a file -> the table as it is, raw), wanted
 and mapping (what a model needs, and what the user says), several_clocks (one column of time), times (which one, and its

@@ -98,6 +98,14 @@ def _with_unit(column: str, name: str, unit: str) -> bool:
     return found is not None and found == own and _plain(bare) == _plain(name) != ""
 
 
+def may_be(column: Column, name: str) -> bool:
+    """Whether a column may be the channel `name`, in one of the ways of names."""
+    plain = _plain(name)
+    return name in (column.heading, column.name) or (
+        plain != "" and plain in map(_plain, (column.name, column.heading, re.split(r"[/.]", column.name)[-1]))
+    )
+
+
 def _plain(name: str) -> str:
     return re.sub(r"[\W_]+", "", name).lower()
 

@@ -1,10 +1,9 @@
-"""A file of any kind of table as recordings."""
+"""The tables of a file as recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,43 +12,22 @@ from telemetry.recording import Recording, describe
 from telemetry.tables.mapping import NOTHING, Said
 from telemetry.tables.matched import Matched, matched
 from telemetry.tables.raw import RawTable
-from telemetry.tables.several_clocks import with_one_clock
+from telemetry.tables.several_clocks import joined, with_one_clock
 from telemetry.tables.several_rates import aligned
 from telemetry.tables.stamps import Stamped, mended
-from telemetry.tables.text.text_file import read_text
 from telemetry.tables.times import times_of
 from telemetry.tables.wanted import Wanted
 
-BINARY = {b"ARROW1": "arrow", b"FEA1": "arrow", b"\xff\xff\xff\xff": "arrow", b"PAR1": "parquet"}
-"""How files of columns begin, whatever their name."""
-BY_SUFFIX = {".arrow": "arrow", ".feather": "arrow", ".ipc": "arrow", ".parquet": "parquet", ".pq": "parquet"}
-TEXT = (".csv", ".txt", ".tsv", ".dat", ".lvm", ".tab")
-SUFFIXES = (*BY_SUFFIX, *TEXT)
 
-
-def read_table(path: Path, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:
-    """The recordings in a file: one, or several if the logger began anew.
+def recordings(
+    tables: Sequence[RawTable], wanted: Sequence[Wanted] = (), user: Said = NOTHING
+) -> tuple[Recording, ...]:
+    """The recordings in the tables of a file, which are joined: one, or several if the logger began anew.
 
     `wanted` are the channels that are needed, which are found by their names and converted to their units; `user` is
-    what the user says of the columns. What was assumed is in `Recording.assumed`.
-    Raises RecordingError, OSError.
+    what the user says of the columns. What was assumed is in `Recording.assumed`. Raises RecordingError.
     """
-    return recordings(raw_table(path), wanted, user)
-
-
-def raw_table(path: Path) -> RawTable:
-    """The table as it is in the file. Raises RecordingError, OSError."""
-    content, source = path.read_bytes(), str(path)
-    kind = next((kind for begin, kind in BINARY.items() if content.startswith(begin)), BY_SUFFIX.get(path.suffix, ""))
-    if not kind:
-        return read_text(content, source)
-    from telemetry.tables import arrow_columns
-
-    return arrow_columns.read_arrow(content, source) if kind == "arrow" else arrow_columns.read_parquet(content, source)
-
-
-def recordings(table: RawTable, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:
-    """The recordings in a table. Raises RecordingError."""
+    table = joined(tables, wanted, user)
     if len(table) == 0:
         raise RecordingError(table.source, "", "holds no rows", remedy="Record again, for longer.")
     if not table.columns:

@@ -1,0 +1,103 @@
+"""Bags of ROS 2: a folder of MCAP or SQLite files, or one of these (rosbags, the extra `upright[ros]`).
+
+The tables of a SQLite file are those of rosbag2_storage_sqlite3. They are read in their order, without metadata.yaml,
+so that a bag that was cut off is read as well.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from telemetry.errors import RecordingError
+from telemetry.formats import mcap
+from telemetry.formats.ros_messages import ros2
+from telemetry.formats.topics import Decode, Log
+from telemetry.tables.raw import RawTable
+
+SUFFIXES = (".db3", ".mcap")
+
+
+def read(path: Path) -> Sequence[RawTable]:
+    """A table for each topic. Raises RecordingError, OSError, and what its packages raise."""
+    log = Log(str(path))
+    for each in _files(path):
+        if each.suffix == ".mcap":
+            mcap.read_into(log, each)
+        else:
+            _read_sqlite(log, each)
+    return log.tables()
+
+
+def _files(path: Path) -> Sequence[Path]:
+    """The files of a bag, by their numbers. Raises RecordingError if there is none, or if they are compressed."""
+    if not path.is_dir():
+        return (path,)
+    found = [each for each in path.iterdir() if each.suffix in SUFFIXES]
+    if not found:
+        zipped = any(each.suffix == ".zstd" for each in path.iterdir())
+        what = "holds compressed files of a rosbag" if zipped else "is a folder without files of a rosbag 2"
+        remedy = "Unpack them with `unzstd`." if zipped else f"Name the folder that holds {' or '.join(SUFFIXES)}."
+        raise RecordingError(str(path), "", what, remedy=remedy)
+    return sorted(found, key=lambda each: [int(number) for number in re.findall(r"\d+", each.stem)])
+
+
+def _read_sqlite(log: Log, path: Path) -> None:
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        definitions = _definitions(database)
+        topics: dict[int, tuple[str, Decode | str]] = {}
+        for key, name, kind, how in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+            topics[key] = (name, _decoder(kind, how, definitions))
+        for key, log_ns, data in _messages(database, log):
+            name, decode = topics.get(key, ("?", "its topic is not known"))
+            log.add(name, log_ns, data, decode)
+    if not log.truncated and _is_cut(path):
+        log.truncated = "the file is shorter than it states: it is read up to there"
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether pages are lacking that the header of SQLite states: sizes at bytes 16 and 28, https://sqlite.org/fileformat."""
+    with path.open("rb") as file:
+        head = file.read(32)
+    size, count = struct.unpack_from(">H", head, 16)[0], struct.unpack_from(">I", head, 28)[0]
+    return path.stat().st_size < (65536 if size == 1 else size) * count
+
+
+def _messages(database: sqlite3.Connection, log: Log) -> Iterator[tuple[int, int, Any]]:
+    try:
+        yield from database.execute("SELECT topic_id, timestamp, data FROM messages")
+    except sqlite3.DatabaseError as error:
+        if not log.topics:
+            raise
+        log.truncated = f"the file is cut off or damaged ({error}): it is read up to there"
+
+
+def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    """Text and encoding of the definitions by type; bags before ROS 2 Iron have none."""
+    try:
+        rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
+        return {kind: (text, encoding) for kind, text, encoding in rows}
+    except sqlite3.DatabaseError:
+        return {}
+
+
+def _decoder(kind: str, how: str, definitions: dict[str, tuple[str, str]]) -> Decode | str:
+    """The decoder of a topic's messages, or why there is none."""
+    if how != "cdr":
+        return f"serialization {how} is not read"
+    try:
+        return ros2(*_by_type(kind, definitions))
+    except ImportError:
+        raise
+    except Exception as error:  # rosbags' parsers have several
+        return f"its type {kind} is not known ({type(error).__name__})"
+
+
+def _by_type(kind: str, definitions: dict[str, tuple[str, str]]) -> tuple[str, str, str]:
+    text, encoding = definitions.get(kind, ("", ""))
+    return text, kind, encoding or "ros2msg"
