@@ -17,8 +17,6 @@ from telemetry.formats.columns import counted, table_of
 from telemetry.tables.raw import Column, RawTable
 
 CLOCKS = {"TimeUS": "us", "TimeMS": "ms"}
-MESSAGE = 3
-"""Bytes at the beginning of each message."""
 
 
 def read(path: Path) -> Sequence[RawTable]:
@@ -26,6 +24,7 @@ def read(path: Path) -> Sequence[RawTable]:
     from pymavlink.DFReader import DFReader_binary
 
     found: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+    end = 0
     with closing(DFReader_binary(str(path))) as log:
         while (message := log.recv_msg()) is not None:
             kind, fields = message.fmt, message.to_dict()
@@ -33,7 +32,8 @@ def read(path: Path) -> Sequence[RawTable]:
             if kind.instance_field:
                 name += f"[{fields[kind.instance_field]}]"
             found.setdefault(name, (kind, []))[1].append(fields)
-        rest = log.remaining
+            end = log.offset
+        rest = log.data_len - end
     cut = f"the last {rest} bytes are no whole message: the file is read up to there" if rest else ""
     tables = [_table(str(path), name, kind, rows, cut) for name, (kind, rows) in found.items()]
     return [each for each in tables if each is not None]

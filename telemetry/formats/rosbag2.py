@@ -61,11 +61,10 @@ def _read_sqlite(log: Log, path: Path) -> None:
 
 
 def _is_cut(path: Path) -> bool:
-    """Whether pages are lacking that the header of SQLite states: sizes at bytes 16 and 28, https://sqlite.org/fileformat."""
+    """Whether pages are lacking that the header of SQLite states (https://sqlite.org/fileformat.html, 1.3)."""
     with path.open("rb") as file:
-        head = file.read(32)
-    size, count = struct.unpack_from(">H", head, 16)[0], struct.unpack_from(">I", head, 28)[0]
-    return path.stat().st_size < (65536 if size == 1 else size) * count
+        size, count = struct.unpack(">16xH10xI", file.read(32))
+    return int(path.stat().st_size) < int(size if size > 1 else 65536) * int(count)
 
 
 def _messages(database: sqlite3.Connection, log: Log) -> Iterator[tuple[int, int, Any]]:

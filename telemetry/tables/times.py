@@ -33,6 +33,8 @@ DAY = 86_400.0
 DAYS = ((36_526.0, 73_050.0), (730_486.0, 767_010.0))
 """The same in days as Excel and MATLAB count them."""
 _MILLI = ("ms", "msec", "millis", "millisecond", "milliseconds")
+SAME_NS = 1000
+"""Between two columns that count the same instants, of which one is rounded."""
 _SECONDS, _PARTS = ("sec", "secs", "seconds"), {"nsec": 1, "nsecs": 1, "nanosec": 1, "nanoseconds": 1, "usec": 1000}
 
 
@@ -52,6 +54,20 @@ class Times:
 
 def times_of(table: RawTable, user: Said) -> Times:
     """The time of each row. Raises RecordingError if no column is time."""
+    found = _times(table, user)
+    same = [each.heading for each in table.columns if each.heading not in found.columns and _is_same(each, found)]
+    return replace(found, columns=(*found.columns, *same))
+
+
+def _is_same(column: Column, times: Times) -> bool:
+    """Whether a column of another name counts the same instants, from any beginning."""
+    if not is_time_name(column.name) or column.kind != "number" or not len(column.values) or not times.known.all():
+        return False
+    since = (column.values - column.values[0]) * _unit(column, "")[0].factor * 1e9
+    return bool(np.all(np.abs(since - (times.ns - times.ns[0])) <= SAME_NS))
+
+
+def _times(table: RawTable, user: Said) -> Times:
     asked, assumed = user.columns.get("time"), user.assumed.get("time")
     stated = (assumed.unit if assumed else "") or (asked.unit if asked else "")
     if asked and asked.column == ROW:

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.offline.replay import convert
+from service.offline.replay import CONVERTED, convert
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from telemetry.storage import load
 from vehicles.monocab.channels import CHANNELS as MONOCAB
 
 
@@ -22,6 +23,20 @@ def recording() -> Recording:
     values["excitation"][7] = np.nan
     stamps = 1_795_258_604_290_842_800 + 4_000_000 * np.arange(50, dtype=np.int64)
     return Recording(MONOCAB, stamps, values, {"vehicle": "monocab", "experiment": "sweep"})
+
+
+@pytest.mark.parametrize("suffix", CONVERTED)
+def test_what_is_written_is_read_back(recording: Recording, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    convert(recording, path)
+    found = load(path)
+    assert found.channels.names == recording.channels.names
+    np.testing.assert_allclose(found.time, recording.time, rtol=0.0, atol=1e-9)
+    for name in recording.channels.names:
+        np.testing.assert_array_equal(found[name], recording[name])
+    if suffix != ".csv":
+        assert found.metadata == recording.metadata
+        assert [each.unit for each in found.channels] == [each.unit for each in recording.channels]
 
 
 def test_mf4_keeps_values_units_and_time(recording: Recording, tmp_path: Path) -> None:

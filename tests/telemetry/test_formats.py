@@ -147,7 +147,7 @@ def test_format_is_read_right(case: Case, tmp_path: Path) -> None:
 BINARY = [each for each in CASES if each.suffix not in ("", ".csv")]
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+@pytest.mark.parametrize("share", [0.02, 0.31, 0.7, 0.99])
 @pytest.mark.parametrize(
     "case", [each for each in CASES if each.suffix not in ("", ".csv")], ids=lambda case: case.name
 )
