@@ -7,7 +7,7 @@ numbered (`/gains/data[0]`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,34 +44,32 @@ class Topic:
         stamp = _stamp(message)
         if stamp is not None:
             self.stamp_ns.append(stamp)
-        for path, value in self._numbers("", message, ()):
+        found: list[tuple[str, float]] = []
+        self._collect("", message, (), found)
+        for path, value in found:
             rows, values = self.columns.setdefault(path, ([], []))
             rows.append(row)
             values.append(value)
 
-    def _numbers(self, path: str, value: Any, names: Sequence[str]) -> Iterator[tuple[str, float]]:
+    def _collect(self, path: str, value: Any, names: Sequence[str], found: list[tuple[str, float]]) -> None:
         """The numbers of a message by their paths; `names` are those that its arrays may be named by."""
-        if isinstance(value, bool | int | float | np.number | np.bool_):
-            yield path, float(value)
+        if isinstance(value, float | int | np.number | np.bool_):
+            found.append((path, float(value)))
         elif isinstance(value, np.ndarray | list | tuple):
-            yield from self._elements(path, value)
-        elif (fields := _fields(value)) is not None:
-            texts = [each for each in fields.values() if isinstance(each, list) and each and isinstance(each[0], str)]
+            if len(value) > MOST:
+                self.left_out.add(path)
+                return
+            for place, each in enumerate(value):
+                self._collect(f"{path}[{place}]", each, (), found)
+        elif not isinstance(value, str) and (fields := _fields(value)) is not None:
+            own = next((each for each in fields.values() if _is_array(each) and isinstance(each[0], str)), names)
+            before = f"{path}/" if path else ""
             for name, each in fields.items():
-                here = f"{path}/{name}" if path else name
-                named = next((words for words in (*texts, names) if _is_array(each) and len(words) == len(each)), None)
-                if not named or isinstance(each[0], str):
-                    yield from self._numbers(here, each, texts[0] if texts else names)
-                    continue
-                for word, element in zip(named, each, strict=True):
-                    yield from self._numbers(f"{path}/{word}/{name}" if path else f"{word}/{name}", element, ())
-
-    def _elements(self, path: str, values: Any) -> Iterator[tuple[str, float]]:
-        if len(values) > MOST:
-            self.left_out.add(path)
-            return
-        for place, each in enumerate(values):
-            yield from self._numbers(f"{path}[{place}]", each, ())
+                if own and _is_array(each) and len(each) == len(own) and not isinstance(each[0], str):
+                    for word, element in zip(own, each, strict=True):
+                        self._collect(f"{before}{word}/{name}", element, (), found)
+                else:
+                    self._collect(f"{before}{name}", each, own, found)
 
     def table(self, source: str, alone: bool) -> RawTable:
         """The topic as a table; its columns are named without it if it is `alone` in its file."""
@@ -148,15 +146,15 @@ def _is_array(value: Any) -> bool:
 
 
 def _fields(value: Any) -> Mapping[str, Any] | None:
-    if isinstance(value, Mapping):
-        return value
     names = getattr(value, "__dataclass_fields__", None)
-    return None if names is None else {name: getattr(value, name) for name in names if not name.startswith("__")}
+    if names is not None:
+        return {name: getattr(value, name) for name in names if not name.startswith("__")}
+    return value if isinstance(value, Mapping) else None
 
 
 def _stamp(message: Any) -> int | None:
     """ns of `header.stamp`, None if there is none."""
-    header = (_fields(message) or {}).get("header")
+    header = message.get("header") if isinstance(message, Mapping) else getattr(message, "header", None)
     stamp = _fields((_fields(header) or {}).get("stamp")) or {}
     seconds = next((stamp[name] for name in SECONDS if name in stamp), None)
     part = next((stamp[name] for name in NANOSECONDS if name in stamp), None)
