@@ -16,6 +16,8 @@ import numpy as np
 from telemetry.formats.columns import counted, table_of
 from telemetry.tables.raw import Column, RawTable
 
+DESCRIPTION = ("FMT", "FMTU", "UNIT", "MULT")
+"""Messages that describe the others."""
 CLOCKS = {"TimeUS": "us", "TimeMS": "ms"}
 
 
@@ -27,12 +29,14 @@ def read(path: Path) -> Sequence[RawTable]:
     end = 0
     with closing(DFReader_binary(str(path))) as log:
         while (message := log.recv_msg()) is not None:
+            end = log.offset
             kind, fields = message.fmt, message.to_dict()
+            if kind.name in DESCRIPTION:
+                continue
             name = f"/{kind.name}"
             if kind.instance_field:
                 name += f"[{fields[kind.instance_field]}]"
             found.setdefault(name, (kind, []))[1].append(fields)
-            end = log.offset
         rest = log.data_len - end
     cut = f"the last {rest} bytes are no whole message: the file is read up to there" if rest else ""
     tables = [_table(str(path), name, kind, rows, cut) for name, (kind, rows) in found.items()]

@@ -91,10 +91,12 @@ def _taken(read: Reader, path: Path) -> tuple[Sequence[RawTable], str]:
     with _quiet():
         try:
             return read(path), ""
-        except (RecordingError, OSError, MemoryError):
+        except (RecordingError, OSError):
             raise
         except ModuleNotFoundError as error:
             raise missing(path, error) from error
+        except MemoryError:
+            failure = "it states more than there is memory for"
         except Exception as error:
             failure = f"{type(error).__name__}: {error}"
         collect()  # objects that were not made to their end complain when they go: here, where nobody hears it

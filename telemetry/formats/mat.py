@@ -39,8 +39,7 @@ def read(path: Path) -> Sequence[RawTable]:
     units, metadata = _texts(variables.get("unit")), _texts(variables.get("metadata"))
     for name, value in variables.items():
         found += _series(source, name, value)
-    vectors = {name: value for name, value in variables.items() if isinstance(value, np.ndarray)}
-    own = _vectors(source, "", vectors, units, metadata)
+    own = _vectors(source, "", dict(_flat("", variables)), units, metadata)
     if own is None or (found and not is_time_name(own.columns[0].name)):
         return found
     return [own, *found]
@@ -68,8 +67,8 @@ def _series(source: str, name: str, value: Any) -> Iterator[RawTable]:
             yield from _timeseries(source, own, fields)
         elif time is not None and signals is not None:
             yield from _signals(source, name, time, signals)
-        elif time is not None:
-            table = _vectors(source, f"{name}/", fields, {}, {})
+        elif _has_time(fields):
+            table = _vectors(source, f"{name}/", dict(_flat("", fields)), {}, {})
             yield from [table] if table is not None else []
         else:
             for key, each in fields.items():
@@ -77,6 +76,20 @@ def _series(source: str, name: str, value: Any) -> Iterator[RawTable]:
     if isinstance(value, np.ndarray) and value.dtype == object:
         for place, each in enumerate(value.ravel(order="F")):
             yield from _series(source, name if value.size == 1 else f"{name}[{place}]", each)
+
+
+def _flat(path: str, fields: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The values of `fields` by their paths, and those inside of structs that have no time of their own."""
+    for name, value in fields.items():
+        inner = list(_records(value))
+        if len(inner) == 1 and not _has_time(inner[0]):
+            yield from _flat(f"{path}{name}/", inner[0])
+        elif not inner:
+            yield f"{path}{name}", value
+
+
+def _has_time(fields: Mapping[str, Any]) -> bool:
+    return any(is_time_name(name_and_unit(key)[0]) for key in fields)
 
 
 def _timeseries(source: str, name: str, fields: Mapping[str, Any]) -> Iterator[RawTable]:

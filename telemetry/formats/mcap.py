@@ -34,7 +34,7 @@ def read_into(log: Log, path: Path) -> None:
     channels: dict[int, Any] = {}
     decoders: dict[int, Decode | str] = {}
     with path.open("rb") as file:
-        records = iter(StreamReader(file).records)
+        records = iter(StreamReader(file, record_size_limit=path.stat().st_size).records)
         while (record := _next(records, log)) is not None:
             if isinstance(record, Schema):
                 schemas[record.id] = record

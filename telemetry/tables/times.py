@@ -18,7 +18,7 @@ _NAMES_TEXT = (
     "timestamp_ns time __time t timestamp time_stamp _time datetime date_time elapsed elapsed_time"
     " time_elapsed rel_time relative_time seconds second secs sec s millis micros millisec milliseconds"
     " microseconds nanoseconds ms us ns timestamp_s time_boot_ms timeus rosbagtimestamp x_value x-value x"
-    " zeit zeitstempel uhrzeit temps tiempo tempo stamp ts clock tick ticks systime utc"
+    " tout zeit zeitstempel uhrzeit temps tiempo tempo stamp ts clock tick ticks systime utc"
     " gps_time gps_tow tow epoch uptime runtime datenum date"
 )
 NAMES = tuple(_NAMES_TEXT.split())
@@ -163,7 +163,8 @@ def _unit(column: Column, stated: str) -> tuple[Unit, str]:
     if stated and (given := factor_of(stated)):
         return Unit("s", given.factor), f"in {stated}, as stated"
     if (found := unit_of(column.unit)) and found.si == "s":
-        return found, "" if found.factor == 1.0 else f"in {column.unit}, as its heading states"
+        where = "its heading" if column.unit in column.heading else "the file"
+        return found, "" if found.factor == 1.0 else f"in {column.unit}, as {where} states"
     words = re.split(r"[\s_./%-]+", column.heading.lower())
     for word in (column.heading.lower().strip("%"), words[-1]):
         name = IN_NAMES.get(word, word if word in ("ms", "us", "ns", "s", "sec", "secs", "seconds", "min") else "")

@@ -95,6 +95,13 @@ CASES = (
         "of another length, left out: gain",
     ),
     Case("MAT 5, struct", ".mat", files.mat5({"run": {"time": TIME, "voltage": VOLTAGE, "angle": ANGLE}})),
+    Case("MAT 5, struct with t", ".mat", files.mat5({"run": {"t": TIME, "voltage": VOLTAGE, "angle": ANGLE}})),
+    Case(
+        "MAT 5, struct beside the time",
+        ".mat",
+        files.mat5({"tout": TIME, "out": {"voltage": VOLTAGE, "pivot": {"angle": ANGLE}}}),
+        "angle: column 'out/pivot/angle'",
+    ),
     Case("MAT 5, structure with time", ".mat", files.mat5(files.structure_with_time())),
     Case(
         "MAT 5, matrix",

@@ -50,4 +50,6 @@ def fit_entry(
 
 
 def _sha256(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()
+    """Of a file, or of all files of a rosbag."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return sha256(b"".join(each.read_bytes() for each in files)).hexdigest()

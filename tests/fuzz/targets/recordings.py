@@ -10,11 +10,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import log_files
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 from dialects import (
+    ANGLE,
     BASE,
+    TIME,
     arduino,
     in_turns,
     influx,
@@ -329,6 +332,36 @@ def read_dialect(path: Path) -> None:
         raise refusals[0]
 
 
+# Files of other programs
+
+FILES = {
+    ".mcap": (log_files.mcap_json(log_files.two_topics, "none"), log_files.file_of_rosbag2("mcap")),
+    ".db3": (log_files.file_of_rosbag2("sqlite3"),),
+    ".bag": (log_files.rosbag1(),),
+    ".ulg": (log_files.ulog,),
+    ".bin": (log_files.dataflash,),
+    ".mat": (
+        log_files.mat5({"time": TIME, "run": {"t": TIME, "angle": ANGLE}}),
+        log_files.mat73({"time": TIME, "angle": ANGLE}),
+    ),
+    ".mf4": (log_files.mf4({"angle": (ANGLE, "rad")}),),
+}
+
+
+@cache
+def of_format(suffix: str) -> tuple[bytes, ...]:
+    """The pendulum's record in a format of other programs."""
+    import tempfile
+
+    found = []
+    for write in FILES[suffix]:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"seed{suffix}"
+            write(path)
+            found.append(path.read_bytes())
+    return tuple(found)
+
+
 # Raw logs
 
 
@@ -411,6 +444,19 @@ TARGETS = (
         of_file(".csv", read_dialect),
         lambda: anything(list(dialects()), PIECES),
         lambda: list(dialects()),
+    ),
+    *(
+        Target(
+            suffix[1:],
+            f"a recording of another program, {suffix}",
+            of_file(suffix, read_dialect),
+            lambda suffix=suffix: mutated(of_format(suffix)),
+            lambda suffix=suffix: list(of_format(suffix)),
+            seconds=5.0,
+            megabytes=300,
+            short=40,
+        )
+        for suffix in FILES
     ),
     Target(
         "log",
