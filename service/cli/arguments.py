@@ -47,7 +47,7 @@ VehicleArgument = Annotated[str, typer.Argument(help=VEHICLES, autocompletion=ve
 VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help=VEHICLES, autocompletion=vehicles)]
 RecordingsArgument = Annotated[
     list[Path],
-    typer.Argument(help="Recordings: .arrow, .parquet, .csv and tables of other origin, or a CAN log."),
+    typer.Argument(help="Recordings, tables and logs of other programs, folders of a rosbag 2, or CAN logs."),
 ]
 MapOption = Annotated[
     list[str] | None,

@@ -165,7 +165,7 @@ def replay(recordings: RecordingsArgument, vehicle: VehicleOption = "monocab", j
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="A recording, a table of other origin, or a CAN log.")],
+    source: Annotated[Path, typer.Argument(help="A recording, a table or log of another program, or a CAN log.")],
     target: Annotated[
         Path, typer.Argument(help="A file; its suffix gives the format: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")
     ],

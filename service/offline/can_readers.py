@@ -16,6 +16,7 @@ import numpy as np
 
 from telemetry.candump import Skipped, open_text
 from telemetry.errors import RecordingError
+from telemetry.formats.files import missing
 
 HEAD = 4096
 """Characters at the beginning of a file in which its header is."""
@@ -162,9 +163,7 @@ def _mdf(path: Path) -> Any:
     try:
         from asammdf import MDF
     except ModuleNotFoundError as error:
-        raise RecordingError(
-            str(path), "", f"needs the package {error.name}", remedy="pip install 'upright[mf4]'."
-        ) from error
+        raise missing(path, error) from error
     return MDF(path)
 
 

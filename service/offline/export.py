@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from telemetry.errors import RecordingError
+from telemetry.formats.files import missing
 from telemetry.recording import Recording
 
 SUFFIXES = (".mat", ".mf4", ".mcap")
@@ -27,10 +27,7 @@ def export(recording: Recording, path: Path) -> None:
     try:
         writers[path.suffix](recording, path)
     except ModuleNotFoundError as error:
-        extra = path.suffix[1:]
-        raise RecordingError(
-            str(path), "", f"needs the package {error.name}", remedy=f"pip install 'upright[{extra}]'."
-        ) from error
+        raise missing(path, error) from error
 
 
 def save_mat(recording: Recording, path: Path) -> None:

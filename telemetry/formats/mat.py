@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from telemetry.tables.units import name_and_unit
 
 MOST = 64
 """Columns up to which a matrix is channels."""
-CARRIERS = ("values", "elements", "storage", "storage_", "element")
+CARRIERS = ("values", "elements", "storage", "element")
 """Fields that carry signals under the name of what they are in."""
 UNITS = {"seconds": "s", "milliseconds": "ms", "microseconds": "us", "minutes": "min", "hours": "h", "days": "d"}
 """Of timeseries."""
@@ -41,7 +42,8 @@ def read(path: Path) -> Sequence[RawTable]:
         found += _series(source, name, value)
     own = _vectors(source, "", dict(_flat("", variables)), units, metadata)
     if own is None or (found and not is_time_name(own.columns[0].name)):
-        return found
+        said = (f"without a time, left out: {', '.join(each.heading for each in own.columns)}",) if own else ()
+        return [replace(each, said=(*each.said, *said)) for each in found]
     return [own, *found]
 
 
@@ -101,8 +103,9 @@ def _timeseries(source: str, name: str, fields: Mapping[str, Any]) -> Iterator[R
     if data is None or data.size == 0:
         return
     if (time is None or time.size == 0) and start is not None and step is not None and step.size == 1:
-        count = _number(_field(about, "length")) or max(data.shape)
-        time = float(start.flat[0] if start.size else 0.0) + float(step.flat[0]) * np.arange(int(count))
+        length = _number(_field(about, "length"))
+        count = int(length) if length in data.shape else max(data.shape)
+        time = float(start.flat[0] if start.size else 0.0) + float(step.flat[0]) * np.arange(count)
     if time is None or time.size == 0:
         return
     of_time, of_data = _units(about), _units(next(_records(_field(fields, "datainfo")), {}))
@@ -137,13 +140,16 @@ def _vectors(
         return None
     count = sizes[times[0]] if times else Counter(sizes.values()).most_common(1)[0][0]
     columns: list[Column] = []
-    odd = [f"{prefix}{name}" for name in sizes if sizes[name] != count]
-    for name, array in numbers.items():
-        if sizes.get(name) == count:
-            heading = "column" if len(sizes) == 1 and array.ndim == 2 and min(array.shape) > 1 else f"{prefix}{name}"
-            columns += _columns(heading, array, count, units.get(name, ""))
+    odd: list[str] = []
+    for name in sizes:
+        array = numbers[name]
+        heading = "column" if len(sizes) == 1 and array.ndim == 2 and min(array.shape) > 1 else f"{prefix}{name}"
+        found = _columns(heading, array, count, units.get(name, ""))
+        columns += found
+        if not found:
+            odd.append(f"{prefix}{name}")
     columns.sort(key=lambda column: not is_time_name(column.name))
-    said = [f"of another length, left out: {', '.join(odd)}"] if odd else []
+    said = [f"of another length or of more than {MOST} columns, left out: {', '.join(odd)}"] if odd else []
     lines = np.arange(1, count + 1, dtype=np.int64)
     return RawTable(source, tuple(columns), lines, {}, dict(metadata), tuple(said)) if columns else None
 

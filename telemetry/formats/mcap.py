@@ -67,20 +67,13 @@ def _decoder(channel: Any, schema: Any) -> Decode | str:
     """The decoder of a channel's messages, or why there is none."""
     if channel.message_encoding == "json":
         return json.loads
-    definition, name = (schema.data.decode(), schema.name) if schema else ("", "")
-    if channel.message_encoding in ("cdr", "ros1"):
+    if channel.message_encoding in ("cdr", "ros1") and schema is not None:
         from telemetry.formats.ros_messages import ros1, ros2
 
-        try:
-            return (
-                ros1(definition, name)
-                if channel.message_encoding == "ros1"
-                else ros2(definition, name, schema.encoding)
-            )
-        except ImportError:
-            raise
-        except Exception as error:  # rosbags' parsers have several
-            return f"its type {name} is not known ({type(error).__name__})"
+        definition = schema.data.decode(errors="replace")
+        if channel.message_encoding == "ros1":
+            return ros1(definition, schema.name)
+        return ros2(definition, schema.name, schema.encoding)
     return f"encoding {channel.message_encoding or 'unknown'} is not read"
 
 

@@ -15,7 +15,7 @@ def read(path: Path) -> Sequence[RawTable]:
     from rosbags.rosbag1 import Reader
 
     log = Log(str(path))
-    decoders: dict[int, Decode] = {}
+    decoders: dict[int, Decode | str] = {}
     with Reader(path) as bag:
         for connection, log_ns, data in bag.messages():
             if connection.id not in decoders:

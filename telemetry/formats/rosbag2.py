@@ -89,14 +89,5 @@ def _decoder(kind: str, how: str, definitions: dict[str, tuple[str, str]]) -> De
     """The decoder of a topic's messages, or why there is none."""
     if how != "cdr":
         return f"serialization {how} is not read"
-    try:
-        return ros2(*_by_type(kind, definitions))
-    except ImportError:
-        raise
-    except Exception as error:  # rosbags' parsers have several
-        return f"its type {kind} is not known ({type(error).__name__})"
-
-
-def _by_type(kind: str, definitions: dict[str, tuple[str, str]]) -> tuple[str, str, str]:
-    text, encoding = definitions.get(kind, ("", ""))
-    return text, kind, encoding or "ros2msg"
+    definition, encoding = definitions.get(kind, ("", ""))
+    return ros2(definition, kind, encoding)

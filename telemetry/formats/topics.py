@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from telemetry.errors import RecordingError
 from telemetry.tables.raw import Column, RawTable
 
 Decode = Callable[[bytes], Any]
@@ -79,8 +80,8 @@ class Topic:
         for path, (rows, values) in self.columns.items():
             whole = np.full(count, np.nan)
             whole[rows] = values
-            heading = f"{self.name}/{path}"
-            name = self.name if len(self.columns) == 1 and path in ALONE else path if alone else heading
+            heading = f"{self.name}/{path}" if path else self.name
+            name = self.name if len(self.columns) == 1 and path in ALONE else path if alone and path else heading
             columns.append(Column(heading, name, self.units.get(path, ""), whole))
         if self.left_out:
             said.append(
@@ -103,11 +104,10 @@ class Topic:
 
 @dataclass(slots=True)
 class Log:
-    """All that a file of messages holds: its topics, what was said of it, and what it knows of itself."""
+    """All that a file of messages holds: its topics, and what it knows of itself."""
 
     source: str
     topics: dict[str, Topic] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
     metadata: dict[str, str] = field(default_factory=dict)
     truncated: str = ""
     _odd: dict[str, int] = field(default_factory=dict)
@@ -131,9 +131,14 @@ class Log:
             self.topic(name).add(log_ns, message)
 
     def tables(self) -> Sequence[RawTable]:
-        """A table for each topic with numbers."""
+        """A table for each topic with numbers. Raises RecordingError if no message could be read."""
         topics = [each for each in self.topics.values() if each.columns]
-        said = [*self.said, *(f"{key}: {count} messages left out" for key, count in self._odd.items())]
+        said = [f"{key}: {count} messages left out" for key, count in self._odd.items()]
+        if said and not topics:
+            remedy = "Record messages in JSON or of ROS, or export them as CSV, with PlotJuggler for example."
+            raise RecordingError(
+                self.source, "", f"holds no message that can be read: {'; '.join(said)}", remedy=remedy
+            )
         tables = [each.table(self.source, len(topics) == 1) for each in topics]
         return [
             RawTable(each.source, each.columns, each.lines, {}, self.metadata, (*said, *each.said), self.truncated)

@@ -92,7 +92,7 @@ CASES = (
             {"J": 0.45, "time_ms": 1000 * TIME, "voltage": VOLTAGE, "angle_deg": np.degrees(ANGLE), "gain": [1.0, 2.0]},
             do_compression=True,
         ),
-        "of another length, left out: gain",
+        "left out: gain",
     ),
     Case("MAT 5, struct", ".mat", files.mat5({"run": {"time": TIME, "voltage": VOLTAGE, "angle": ANGLE}})),
     Case("MAT 5, struct with t", ".mat", files.mat5({"run": {"t": TIME, "voltage": VOLTAGE, "angle": ANGLE}})),
@@ -193,6 +193,37 @@ def test_other_content_under_the_suffix_is_refused(suffix: str, content: bytes, 
     with pytest.raises(RecordingError) as caught:
         load(path, WANTED)
     assert caught.value.remedy
+
+
+def test_log_of_which_no_message_can_be_read_is_refused(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Pendulum", "protobuf", b"")
+        topic = writer.register_channel("/pendulum", "protobuf", schema)
+        writer.add_message(topic, 1, b"\x00", 1)
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"/pendulum: encoding protobuf is not read: 1 messages.*PlotJuggler"):
+        load(tmp_path / "run.mcap")
+
+
+def test_folder_without_a_bag_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="folder without files of a rosbag 2"):
+        load(tmp_path)
+
+
+def test_topics_that_would_make_too_large_a_table_are_refused_until_channels_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("telemetry.tables.several_clocks.MOST_CELLS", 1000)
+    path = tmp_path / "run.mcap"
+    files.mcap_json(files.two_topics)(path)
+    with pytest.raises(RecordingError, match="2 topics") as caught:
+        load(path)
+    assert "--map CHANNEL=/motor/voltage" in caught.value.remedy
+    assert len(load(path, user=said_of(("angle=/pivot/angle",), ()))) == COUNT
 
 
 PACKAGES = {
