@@ -108,7 +108,7 @@ def load(
     begin: float = 0.0,
     end: float = math.inf,
 ) -> Recording:
-    """Read a recording: .arrow, .parquet, a table of any origin, or the CAN log of a `vehicle`.
+    """Read a recording: .arrow, .parquet, a table or log of any origin, or the CAN log of a `vehicle`.
 
     `vehicle`: a shipped one or a vehicle file. Needed for a CAN log; a table of that vehicle from elsewhere is
     completed by what is usual. `model`: its channels and its table [columns] say how a table is read. `columns` gives

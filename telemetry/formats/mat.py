@@ -1,4 +1,4 @@
-"""MAT files of MATLAB and Simulink: vectors, structs, timeseries, and Datasets of signals.
+"""MAT files of MATLAB and Simulink: vectors, structs, timeseries, timetables, and Datasets of signals.
 
 scipy reads versions 4 to 7; version 7.3 and objects such as timeseries take mat-io, the extra `upright[mat]`. Both give
 structs as arrays of records and cells as arrays of objects.
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telemetry.formats.columns import seconds, table_of
+from telemetry.tables.arrow_columns import of_frame
 from telemetry.tables.raw import Column, RawTable
 from telemetry.tables.times import is_time_name
 from telemetry.tables.units import name_and_unit
@@ -61,7 +62,10 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 def _series(source: str, name: str, value: Any) -> Iterator[RawTable]:
-    """The tables of a timeseries, of a struct with a time, and of all that are inside of a struct, object or cell."""
+    """The tables of a timeseries or timetable, of a struct with a time, and of all that are inside of a struct, object
+    or cell."""
+    if hasattr(value, "reset_index"):  # a table or timetable, which mat-io gives as a DataFrame
+        yield of_frame(value, source)
     for fields in _records(value):
         own = _text(_field(fields, "name")) or name
         time, data, signals = (_field(fields, key) for key in ("time", "data", "signals"))

@@ -64,6 +64,12 @@ def read_arrow(content: bytes, source: str) -> RawTable:
     return _raw(pa.Table.from_batches(batches, schema=reader.schema), source, late, lost)
 
 
+def of_frame(frame: Any, source: str) -> RawTable:
+    """A DataFrame of pandas; an index of dates or durations is its first column. Raises RecordingError."""
+    whole = frame.reset_index() if frame.index.dtype.kind in "mM" else frame
+    return _raw(pa.Table.from_pandas(whole, preserve_index=False), source, {}, "")
+
+
 def _file(content: bytes, source: str) -> Any:
     try:
         if content.startswith(b"FEA1"):

@@ -16,6 +16,7 @@ from telemetry.tables.mapping import Said
 from telemetry.tables.matched import may_be
 from telemetry.tables.raw import Column, RawTable
 from telemetry.tables.times import is_time_name
+from telemetry.tables.units import unit_of
 from telemetry.tables.wanted import Wanted
 
 MOST_CELLS = 100_000_000
@@ -62,7 +63,8 @@ def joined(tables: Sequence[RawTable], wanted: Sequence[Wanted], user: Said) -> 
     taken = taken or list(tables)
     if len(taken) == 1:
         return _with_metadata(taken[0], tables)
-    groups = [(table.columns[0], table.columns[1:]) for table in taken]
+    clocks = _in_one_unit([table.columns[0] for table in taken])
+    groups = [(clock, table.columns[1:]) for clock, table in zip(clocks, taken, strict=True)]
     cells = sum(len(table) for table in taken) * sum(len(columns) for _, columns in groups)
     if cells > MOST_CELLS:
         what = f"holds {len(taken)} topics that make {cells:.3g} values at the instants of all"
@@ -80,6 +82,18 @@ def _with_metadata(table: RawTable, tables: Sequence[RawTable]) -> RawTable:
     metadata = {key: text for each in tables for key, text in each.metadata.items()}
     truncated = dict.fromkeys(each.truncated for each in tables if each.truncated)
     return replace(table, metadata=metadata, truncated="; ".join(truncated))
+
+
+def _in_one_unit(clocks: Sequence[Column]) -> Sequence[Column]:
+    """The clocks, in s if their units differ."""
+    if len({(clock.unit, clock.kind) for clock in clocks}) == 1:
+        return clocks
+    found = []
+    for clock in clocks:
+        unit = unit_of("ns" if clock.kind == "date" else clock.unit)
+        values = clock.values * (unit.factor if unit and unit.si == "s" else 1.0)
+        found.append(replace(clock, name="time", unit="s", values=values, exact=None, kind="number"))
+    return found
 
 
 def _on_one_clock(

@@ -264,6 +264,22 @@ def degrees_series() -> dict[str, Any]:
     return {"u": timeseries("voltage", VOLTAGE), "y": timeseries("angle", np.degrees(ANGLE), unit="deg")}
 
 
+def minutes_beside_seconds() -> dict[str, Any]:
+    """A timeseries in minutes, beside vectors over a time in seconds."""
+    series = timeseries("angle", ANGLE)
+    series.properties["Time_"] = series.properties["Time_"] / 60.0
+    series.properties["TimeInfo_"].properties["Units"] = "minutes"
+    return {"time": TIME[:, None], "voltage": VOLTAGE[:, None], "y": series}
+
+
+def timetable() -> dict[str, Any]:
+    """A timetable by mat-io, which takes it from a DataFrame."""
+    import pandas as pd
+
+    index = pd.to_timedelta(np.round(TIME * 1e9).astype(np.int64), unit="ns")
+    return {"run": pd.DataFrame({"voltage": VOLTAGE, "angle": ANGLE}, index=pd.Index(index, name="Time"))}
+
+
 def dataset() -> dict[str, Any]:
     """A Dataset of signals, as Simulink logs them."""
     from matio.utils.matclass import MatlabOpaque

@@ -113,6 +113,8 @@ CASES = (
     Case("MAT 7, timeseries", ".mat", files.objects(files.two_series, "v7")),
     Case("MAT 7.3, timeseries", ".mat", files.objects(files.two_series, "v7.3")),
     Case("MAT 7.3, timeseries in degrees", ".mat", files.objects(files.degrees_series, "v7.3"), "deg, converted"),
+    Case("MAT 7.3, minutes beside seconds", ".mat", files.objects(files.minutes_beside_seconds, "v7.3")),
+    Case("MAT 7.3, timetable", ".mat", files.objects(files.timetable, "v7.3")),
     Case("MAT 7, Dataset", ".mat", files.objects(files.dataset, "v7")),
     Case("MAT 7.3, Dataset", ".mat", files.objects(files.dataset, "v7.3")),
     Case("MAT 7.3", ".mat", files.mat73({"time": TIME, "voltage": VOLTAGE, "angle": ANGLE})),
