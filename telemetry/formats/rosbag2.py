@@ -1,7 +1,7 @@
 """Bags of ROS 2: a folder of MCAP or SQLite files, or one of these (rosbags, the extra `upright[ros]`).
 
 The tables of a SQLite file are those of rosbag2_storage_sqlite3. They are read in their order, without metadata.yaml,
-so that a bag that was cut off is read as well.
+so that a bag that was cut off is read as well. Files and messages may be compressed by zstd.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from telemetry.errors import RecordingError
@@ -21,30 +22,43 @@ from telemetry.formats.topics import Decode, Log
 from telemetry.tables.raw import RawTable
 
 SUFFIXES = (".db3", ".mcap")
+PACKED = ".zstd"
+"""What compressed files end with besides."""
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""What compressed messages begin with; those in CDR begin with a zero."""
 
 
 def read(path: Path) -> Sequence[RawTable]:
     """A table for each topic. Raises RecordingError, OSError, and what its packages raise."""
     log = Log(str(path))
-    for each in _files(path):
-        if each.suffix == ".mcap":
-            mcap.read_into(log, each)
-        else:
-            _read_sqlite(log, each)
+    with TemporaryDirectory() as folder:
+        for each in _files(path):
+            file = _unpacked(each, Path(folder)) if each.suffix == PACKED else each
+            if file.suffix == ".mcap":
+                mcap.read_into(log, file)
+            else:
+                _read_sqlite(log, file)
     return log.tables()
 
 
 def _files(path: Path) -> Sequence[Path]:
-    """The files of a bag, by their numbers. Raises RecordingError if there is none, or if they are compressed."""
+    """The files of a bag, by their numbers. Raises RecordingError if there is none."""
     if not path.is_dir():
         return (path,)
-    found = [each for each in path.iterdir() if each.suffix in SUFFIXES]
+    found = [each for each in path.iterdir() if Path(each.name.removesuffix(PACKED)).suffix in SUFFIXES]
     if not found:
-        zipped = any(each.suffix == ".zstd" for each in path.iterdir())
-        what = "holds compressed files of a rosbag" if zipped else "is a folder without files of a rosbag 2"
-        remedy = "Unpack them with `unzstd`." if zipped else f"Name the folder that holds {' or '.join(SUFFIXES)}."
-        raise RecordingError(str(path), "", what, remedy=remedy)
+        remedy = f"Name the folder that holds {' or '.join(SUFFIXES)}."
+        raise RecordingError(str(path), "", "is a folder without files of a rosbag 2", remedy=remedy)
     return sorted(found, key=lambda each: [int(number) for number in re.findall(r"\d+", each.stem)])
+
+
+def _unpacked(path: Path, folder: Path) -> Path:
+    from zstandard import ZstdDecompressor
+
+    found = folder / path.stem
+    with path.open("rb") as packed, found.open("wb") as file:
+        ZstdDecompressor().copy_stream(packed, file)
+    return found
 
 
 def _read_sqlite(log: Log, path: Path) -> None:
@@ -90,4 +104,14 @@ def _decoder(kind: str, how: str, definitions: dict[str, tuple[str, str]]) -> De
     if how != "cdr":
         return f"serialization {how} is not read"
     definition, encoding = definitions.get(kind, ("", ""))
-    return ros2(definition, kind, encoding)
+    decode = ros2(definition, kind, encoding)
+    return decode if isinstance(decode, str) else lambda data: decode(_plain(data))
+
+
+def _plain(data: bytes) -> bytes:
+    """A message that may be compressed."""
+    if not data.startswith(ZSTD):
+        return data
+    from zstandard import ZstdDecompressor
+
+    return bytes(ZstdDecompressor().decompressobj().decompress(data))

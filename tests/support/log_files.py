@@ -24,7 +24,9 @@ JITTER_NS = np.random.default_rng(3).integers(100_000, 2_000_000, COUNT)
 Write = Callable[[Path], None]
 
 
-def mcap_json(topics: Callable[[int], dict[str, dict[str, Any]]], compression: str = "zstd") -> Write:
+def mcap_json(
+    topics: Callable[[int], dict[str, dict[str, Any]]], compression: str = "zstd", count: int = COUNT
+) -> Write:
     """The messages of each sample by their topics; the angle's topic is late."""
 
     def write(path: Path) -> None:
@@ -35,7 +37,7 @@ def mcap_json(topics: Callable[[int], dict[str, dict[str, Any]]], compression: s
             writer.start()
             schema = writer.register_schema("any", "jsonschema", b"{}")
             names = {name: writer.register_channel(name, "json", schema) for name in topics(0)}
-            for row in range(COUNT):
+            for row in range(count):
                 for place, (name, message) in enumerate(topics(row).items()):
                     stamp = int(STAMPS[row]) + place * LATE_NS
                     writer.add_message(names[name], stamp, json.dumps(message).encode(), stamp)
@@ -52,11 +54,13 @@ def two_topics(row: int) -> dict[str, dict[str, Any]]:
     return {"/motor": {"voltage": VOLTAGE[row]}, "/pivot": {"angle": ANGLE[row], "ok": True}}
 
 
-def ros_messages(store: Any, ros1: bool = False, stamped: bool = True) -> Iterable[tuple[str, str, int, Any]]:
+def ros_messages(
+    store: Any, ros1: bool = False, stamped: bool = True, count: int = COUNT
+) -> Iterable[tuple[str, str, int, Any]]:
     """Topic, type, time of the log and message: commands, and joint states of which the second is the pendulum."""
     types = store.types
     more = {"seq": 0} if ros1 else {}
-    for row in range(COUNT):
+    for row in range(count):
         command = types["std_msgs/msg/Float64"](data=float(VOLTAGE[row]))
         yield "/command", "std_msgs/msg/Float64", int(STAMPS[row]) - LATE_NS, command
         seconds, part = divmod(int(STAMPS[row]) if stamped else row * 10_000_000, 1_000_000_000)
@@ -76,7 +80,7 @@ def ros_messages(store: Any, ros1: bool = False, stamped: bool = True) -> Iterab
         )
 
 
-def rosbag1(compression: str = "", stamped: bool = True) -> Write:
+def rosbag1(compression: str = "", stamped: bool = True, count: int = COUNT) -> Write:
     def write(path: Path) -> None:
         from rosbags.rosbag1 import Writer
         from rosbags.typesys import Stores, get_typestore
@@ -87,7 +91,7 @@ def rosbag1(compression: str = "", stamped: bool = True) -> Write:
             bag.set_compression(Writer.CompressionFormat[compression.upper()])
         with bag:
             topics: dict[str, Any] = {}
-            for topic, kind, stamp, message in ros_messages(store, ros1=True, stamped=stamped):
+            for topic, kind, stamp, message in ros_messages(store, True, stamped, count):
                 if topic not in topics:
                     topics[topic] = bag.add_connection(topic, kind, typestore=store)
                 bag.write(topics[topic], stamp, store.serialize_ros1(message, kind))
@@ -95,17 +99,20 @@ def rosbag1(compression: str = "", stamped: bool = True) -> Write:
     return write
 
 
-def rosbag2(plugin: str, version: int = 9, stamped: bool = True) -> Write:
-    """A folder, with files of the storage `plugin`, "sqlite3" or "mcap"."""
+def rosbag2(plugin: str, version: int = 9, stamped: bool = True, packed: str = "", count: int = COUNT) -> Write:
+    """A folder, with files of the storage `plugin`, "sqlite3" or "mcap"; `packed`: "file" or "message"."""
 
     def write(path: Path) -> None:
-        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
 
         store = get_typestore(Stores.ROS2_HUMBLE)
-        with Writer(path, version=version, storage_plugin=StoragePlugin[plugin.upper()]) as bag:
+        bag = Writer(path, version=version, storage_plugin=StoragePlugin[plugin.upper()])
+        if packed:
+            bag.set_compression(CompressionMode[packed.upper()], CompressionFormat.ZSTD)
+        with bag:
             topics: dict[str, Any] = {}
-            for topic, kind, stamp, message in ros_messages(store, stamped=stamped):
+            for topic, kind, stamp, message in ros_messages(store, False, stamped, count):
                 if topic not in topics:
                     topics[topic] = bag.add_connection(topic, kind, typestore=store)
                 bag.write(topics[topic], stamp, store.serialize_cdr(message, kind))
@@ -113,18 +120,18 @@ def rosbag2(plugin: str, version: int = 9, stamped: bool = True) -> Write:
     return write
 
 
-def file_of_rosbag2(plugin: str) -> Write:
+def file_of_rosbag2(plugin: str, count: int = COUNT) -> Write:
     """The file of a bag alone, without its metadata.yaml."""
 
     def write(path: Path) -> None:
         folder = path.with_name("bag")
-        rosbag2(plugin)(folder)
+        rosbag2(plugin, count=count)(folder)
         next(each for each in folder.iterdir() if each.suffix in (".db3", ".mcap")).rename(path)
 
     return write
 
 
-def ulog(path: Path) -> None:
+def ulog(path: Path, count: int = COUNT) -> None:
     """By the documented layout: two topics, the angle's of two instances."""
 
     def message(kind: str, content: bytes) -> bytes:
@@ -137,7 +144,7 @@ def ulog(path: Path) -> None:
     parts.append(message("I", bytes([16]) + b"char[5] sys_name" + b"bench"))
     for place, (name, instance) in enumerate((("motor", 0), ("encoder", 0), ("encoder", 1))):
         parts.append(message("A", struct.pack("<BH", instance, place) + name.encode()))
-    for row in range(COUNT):
+    for row in range(count):
         stamp = 1_000_000 + 10_000 * row
         parts.append(message("D", struct.pack("<HQf", 0, stamp, VOLTAGE[row])))
         parts.append(message("D", struct.pack("<HQddB", 1, stamp + 3000, ANGLE[row], 0.0, 1)))
@@ -145,7 +152,7 @@ def ulog(path: Path) -> None:
     path.write_bytes(b"".join(parts))
 
 
-def dataflash(path: Path) -> None:
+def dataflash(path: Path, count: int = COUNT) -> None:
     """By the documented layout: commands, and angles in degrees of two instances, with units."""
     kinds = {
         128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89),
@@ -169,7 +176,7 @@ def dataflash(path: Path) -> None:
         parts.append(message(130, "Qbd", 0, ord(mult), factor))
     parts.append(message(131, "QB16s16s", 0, 140, b"sv-", b"F0-"))
     parts.append(message(131, "QB16s16s", 0, 141, b"s#d", b"F-0"))
-    for row in range(COUNT):
+    for row in range(count):
         stamp = 1_000_000 + 10_000 * row
         parts.append(message(140, "Qf4s", stamp, VOLTAGE[row], b"RUN"))
         for instance, angle in enumerate((np.degrees(ANGLE[row]), -1.0)):

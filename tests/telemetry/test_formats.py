@@ -50,6 +50,8 @@ CASES = (
     Case("rosbag 2, folder of MCAP", "", files.rosbag2("mcap"), "/joint_states: time of header.stamp", BY_PATH),
     Case("rosbag 2, folder of SQLite", "", files.rosbag2("sqlite3"), "/command: time when each message", BY_PATH),
     Case("rosbag 2, without definitions", "", files.rosbag2("sqlite3", 8), "header.stamp", BY_PATH),
+    Case("rosbag 2, compressed messages", "", files.rosbag2("sqlite3", packed="message"), "header.stamp", BY_PATH),
+    Case("rosbag 2, compressed files", "", files.rosbag2("sqlite3", packed="file"), "header.stamp", BY_PATH),
     Case("rosbag 2, file of SQLite", ".db3", files.file_of_rosbag2("sqlite3"), "header.stamp", BY_PATH),
     Case("rosbag 2, another clock", "", files.rosbag2("mcap", stamped=False), "is of another clock", BY_PATH),
     Case("rosbag 1", ".bag", files.rosbag1(), "/joint_states: time of header.stamp", BY_PATH),

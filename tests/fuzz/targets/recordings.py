@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -334,17 +334,22 @@ def read_dialect(path: Path) -> None:
 
 # Files of other programs
 
+FEW = 40
+"""Samples, so that changes meet the heads of the files."""
 FILES = {
-    ".mcap": (log_files.mcap_json(log_files.two_topics, "none"), log_files.file_of_rosbag2("mcap")),
-    ".db3": (log_files.file_of_rosbag2("sqlite3"),),
-    ".bag": (log_files.rosbag1(),),
-    ".ulg": (log_files.ulog,),
-    ".bin": (log_files.dataflash,),
-    ".mat": (
-        log_files.mat5({"time": TIME, "run": {"t": TIME, "angle": ANGLE}}),
-        log_files.mat73({"time": TIME, "angle": ANGLE}),
+    ".mcap": (
+        log_files.mcap_json(log_files.two_topics, "none", count=FEW),
+        log_files.file_of_rosbag2("mcap", count=FEW),
     ),
-    ".mf4": (log_files.mf4({"angle": (ANGLE, "rad")}),),
+    ".db3": (log_files.file_of_rosbag2("sqlite3", count=FEW),),
+    ".bag": (log_files.rosbag1(count=FEW),),
+    ".ulg": (partial(log_files.ulog, count=FEW),),
+    ".bin": (partial(log_files.dataflash, count=FEW),),
+    ".mat": (
+        log_files.mat5({"time": TIME[:FEW], "run": {"t": TIME[:FEW], "angle": ANGLE[:FEW]}}),
+        log_files.mat73({"time": TIME[:FEW], "angle": ANGLE[:FEW]}),
+    ),
+    ".mf4": (log_files.mf4({"angle": (ANGLE[:FEW], "rad")}, times=(TIME[:FEW],)),),
 }
 
 
