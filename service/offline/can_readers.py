@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from gc import collect
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from telemetry.candump import Skipped, open_text
 from telemetry.errors import RecordingError
-from telemetry.formats.files import missing
+from telemetry.formats.files import missing, quiet
 
 HEAD = 4096
 """Characters at the beginning of a file in which its header is."""
@@ -169,12 +170,15 @@ def _mdf(path: Path) -> Any:
 
 def has_bus_events(path: Path) -> bool:
     """Whether an MF4 holds frames, and not signals alone. Raises RecordingError if asammdf is missing."""
-    try:
-        with _mdf(path) as mdf:
-            return bool(_bus_groups(mdf))
-    except RecordingError:
-        raise
-    except Exception:  # asammdf has exceptions of its own, which it does not export
+    with quiet():
+        try:
+            with _mdf(path) as mdf:
+                return bool(_bus_groups(mdf))
+        except RecordingError:
+            raise
+        except Exception:  # asammdf has exceptions of its own, which it does not export
+            pass
+        collect()
         return False
 
 

@@ -88,7 +88,7 @@ def raw_tables(path: Path) -> Sequence[RawTable]:
 
 def _taken(read: Reader, path: Path) -> tuple[Sequence[RawTable], str]:
     """What `read` gives, or why it failed: the packages fail in many ways where a file is not what it claims to be."""
-    with _quiet():
+    with quiet():
         try:
             return read(path), ""
         except (RecordingError, OSError):
@@ -99,7 +99,7 @@ def _taken(read: Reader, path: Path) -> tuple[Sequence[RawTable], str]:
             failure = "it states more than there is memory for"
         except Exception as error:
             failure = f"{type(error).__name__}: {error}"
-        collect()  # objects that were not made to their end complain when they go: here, where nobody hears it
+        collect()
         return (), failure
 
 
@@ -131,8 +131,9 @@ def _format(path: Path) -> Format | None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what the packages print and warn of, which would be of files of theirs and not of the user's."""
+def quiet() -> Iterator[None]:
+    """Without what the packages print and warn of. Objects of theirs that were not made to their end complain when they
+    go: after a failure, call `gc.collect` in here, where nobody hears it."""
     logged, complain = logging_root.manager.disable, sys.unraisablehook
     with catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
         simplefilter("ignore")

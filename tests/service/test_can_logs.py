@@ -17,8 +17,10 @@ from itertools import count
 from pathlib import Path
 
 import can
+import log_files
 import numpy as np
 import pytest
+from dialects import ANGLE
 
 from service.offline.can_log import is_can_log
 from service.offline.replay import load as load_recording
@@ -507,3 +509,11 @@ def test_missing_package_error_names_the_extra(
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(RecordingError, match=rf"needs the package {package}.*upright\[{extra}\]"):
         load_recording(*((log, VEHICLE, tmp_path / "motor.dbc") if extra == "dbc" else (bus, VEHICLE)))
+
+
+def test_damaged_measurement_file_is_no_log_and_asammdf_stays_silent(tmp_path: Path) -> None:
+    """asammdf complains of its half-made objects when they go, which the tests take for an error."""
+    path = tmp_path / "run.mf4"
+    log_files.mf4({"angle": (ANGLE, "rad")})(path)
+    path.write_bytes(path.read_bytes()[:9000])
+    assert not is_can_log(path)
