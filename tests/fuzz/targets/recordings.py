@@ -15,9 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 from dialects import (
-    ANGLE,
     BASE,
-    TIME,
     arduino,
     in_turns,
     influx,
@@ -337,19 +335,10 @@ def read_dialect(path: Path) -> None:
 FEW = 40
 """Samples, so that changes meet the heads of the files."""
 FILES = {
-    ".mcap": (
-        log_files.mcap_json(log_files.two_topics, "none", count=FEW),
-        log_files.file_of_rosbag2("mcap", count=FEW),
-    ),
     ".db3": (log_files.file_of_rosbag2("sqlite3", count=FEW),),
     ".bag": (log_files.rosbag1(count=FEW),),
     ".ulg": (partial(log_files.ulog, count=FEW),),
     ".bin": (partial(log_files.dataflash, count=FEW),),
-    ".mat": (
-        log_files.mat5({"time": TIME[:FEW], "run": {"t": TIME[:FEW], "angle": ANGLE[:FEW]}}),
-        log_files.mat73({"time": TIME[:FEW], "angle": ANGLE[:FEW]}),
-    ),
-    ".mf4": (log_files.mf4({"angle": (ANGLE[:FEW], "rad")}, times=(TIME[:FEW],)),),
 }
 
 
