@@ -39,15 +39,17 @@ class LossTest:
         self._row = self._counted = 0
 
     def came(self, missed: int = 0) -> None:
-        """A cycle that was not lost, after `missed` ones that were; -1: at the time of the one before it, so that one
-        of those that were missed before was late and not lost."""
+        """A cycle that was not lost, after `missed` ones that were; -1: one more in the same cycle, so that one of
+        those that were missed before was late and not lost."""
         if missed < 0:
             if self._counted:
                 self._counted -= 1
                 self.evidence = max(0.0, self.evidence - _LOST)
             return
-        self._row, self._counted = 0, min(missed, self._in_a_row)
-        self.evidence = max(0.0, self.evidence + self._counted * _LOST + _KEPT)
+        counted = min(missed, self._in_a_row)
+        self._counted = min(self._row, self._in_a_row) + counted
+        self._row = 0
+        self.evidence = max(0.0, self.evidence + counted * _LOST + _KEPT)
 
     def lost(self) -> None:
         """A cycle that was lost."""

@@ -32,7 +32,7 @@ class Drive:
     set-up, and is held in the same way until it has been set up again (`configured`).
 
     Attributes, for others to read:
-        state, statusword: as reported last; UNKNOWN and None before.
+        state, statusword: as reported last; UNKNOWN and None before; statusword_count: of all.
         position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first value.
         setpoint: axis unit/s, N m or V, as the drive resolves it from the frame that was sent (in replay: read) last.
         controlword: as sent (in replay: read) last.
@@ -51,6 +51,7 @@ class Drive:
         self.state = State.UNKNOWN
         self.statusword: int | None = None
         self.statusword_timestamp_ns = 0
+        self.statusword_count = 0
         self.heartbeat_timestamp_ns = 0
         self.nmt_state: NmtState | None = None
         self.mode_display: int | None = None
@@ -270,6 +271,7 @@ class Drive:
         before = self.state
         self.statusword = raw
         self.statusword_timestamp_ns = timestamp_ns
+        self.statusword_count += 1
         self.state = state = states.classify(raw)
         self._advice |= raw & states.ADVISORY
         # Enable operation is sent only after Switched on was seen, so any way back from there is uncommanded.

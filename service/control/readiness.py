@@ -37,8 +37,11 @@ def observe(
             entry.slip = slip / drive.config.axis_per_turn
             entry.answered_ns = answered_ns
             entry.losses.came()
+            for _ in range(drive.statusword_count - entry.statuswords - 1):
+                entry.losses.came(-1)
         elif seen.answers_due:
             entry.losses.lost()
+        entry.statuswords = drive.statusword_count
         entry.age = (now_ns - answered_ns) * 1e-9
         entry.enabled = drive.state is State.OPERATION_ENABLED
         entry.faulty = drive.state in FAULTY

@@ -48,8 +48,9 @@ class DriveObservation:
     """One drive in this cycle: `age` s of its latest values, `state` as text, `emergency` as text or "" with its code.
 
     `heartbeat_age` in s, 0 before the first one; `voltage` and `remote` as in the statusword; `emergencies` is how
-    many it has sent, `answered_ns` the time of the oldest of its values; `losses` tests how many answers did not come.
-    `slip` is by how many turns of the motor its position and its rate contradict each other, by the sums of `axis`.
+    many it has sent, `answered_ns` the time of the oldest of its values, `statuswords` how many have come; `losses`
+    tests how many answers did not come. `slip` is by how many turns of the motor its position and its rate contradict
+    each other, by the sums of `axis`.
     """
 
     name: str
@@ -65,6 +66,7 @@ class DriveObservation:
     heartbeat_age: float = 0.0
     emergencies: int = 0
     answered_ns: int = 0
+    statuswords: int = 0
     losses: LossTest = field(default_factory=LossTest)
     axis: AxisConsistency = field(default_factory=AxisConsistency)
     slip: float = 0.0

@@ -1,12 +1,12 @@
-"""Tables of text: CSV in all its dialects (telemetry.tables.csv_text)."""
+"""Tables of text: CSV in all its dialects (telemetry.tables.text)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from telemetry.tables.csv_text import read_text
 from telemetry.tables.raw import RawTable
+from telemetry.tables.text.text_file import read_text
 
 
 def read(path: Path) -> Sequence[RawTable]:

@@ -69,3 +69,12 @@ def test_early_cycles_do_not_make_up_for_losses_before() -> None:
         each.came()
     test.came(missed=-1)
     assert test.evidence == other.evidence > 0.0
+
+
+def test_answers_that_come_a_cycle_late_are_not_lost() -> None:
+    test = LossTest()
+    for _ in range(500):
+        test.lost()
+        test.came()
+        test.came(missed=-1)
+    assert test.evidence < SURE / 5
