@@ -12,6 +12,7 @@ error of the accelerometer's scale leaves on the support is known before a run.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from telemetry.samples import Vector3
 
@@ -28,9 +29,9 @@ class ImuConsistency:
 
     __slots__ = ("_axes",)
 
-    def __init__(self, rate: float, acceleration_std: float) -> None:
-        """`rate` (Hz) of the IMU, `acceleration_std` (m/s^2) of one reading."""
-        self._axes = tuple(_Axis(rate, acceleration_std) for _ in range(3))
+    def __init__(self, rate: float, acceleration_std: float, averaged: Sequence[float] = AVERAGED) -> None:
+        """`rate` (Hz) of the IMU, `acceleration_std` (m/s^2) of one reading, `averaged` s."""
+        self._axes = tuple(_Axis(rate, acceleration_std, averaged) for _ in range(3))
 
     def reset(self) -> None:
         """Forget all readings."""
@@ -55,10 +56,10 @@ class _Axis:
 
     __slots__ = ("_forget", "_known", "_offset", "_resting", "_square", "_windows")
 
-    def __init__(self, rate: float, acceleration_std: float) -> None:
+    def __init__(self, rate: float, acceleration_std: float, averaged: Sequence[float]) -> None:
         self._forget = 1.0 / (rate * REMEMBERED)
         self._known = acceleration_std**2
-        self._windows = tuple(_Window(rate, each) for each in AVERAGED)
+        self._windows = tuple(_Window(rate, each) for each in averaged)
         self.reset()
 
     def reset(self) -> None:

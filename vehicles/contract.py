@@ -141,6 +141,11 @@ class Pilot(Protocol[M_in]):
 class Watch(Protocol[M_in]):
     """What a kind's model says about its measurements: quantities for its bounds, as in "watched.recovery"."""
 
+    @property
+    def averaged(self) -> Sequence[float]:
+        """s over which gyro and accelerometer are compared (estimators.imu_consistency)."""
+        ...
+
     def unexplained(self, contradiction: Vector3) -> Vector3:
         """What the motion of the axis that the vehicle falls about, as its drives tell it, does not explain of the
         contradiction of accelerometer and gyro: m/s^2, in the body's frame."""

@@ -144,7 +144,8 @@ class ControlLoop:
         """All frames, while the set-up checks the bus."""
         self._filter = assembly.roll_filter(vehicle)
         self._pilot = self.kind.pilot()
-        self._consistency = ImuConsistency(float(vehicle.control.rate), vehicle.imu.filter.acceleration_std)
+        noise, averaged = vehicle.imu.filter.acceleration_std, self.kind.watch.averaged
+        self._consistency = ImuConsistency(float(vehicle.control.rate), noise, averaged)
         self._safety = Safety(
             self.kind.bounds,
             missed_cycles=vehicle.limits.missed_cycles,

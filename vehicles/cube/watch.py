@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import deque
 
 from drivers.vehicle_io import VehicleIo
+from estimators.imu_consistency import AVERAGED
 from telemetry.samples import Vector3
 from vehicles.contract import Lean
 from vehicles.cube.axes import WheelMeasurement
@@ -29,6 +30,8 @@ bus, and the filter of the drive's rate."""
 class CubeWatch:
     """`wheel_following` (rad/s): how much the wheel has turned otherwise than its torque makes it; `jump` (rad/s) of
     the gyro."""
+
+    averaged = AVERAGED
 
     __slots__ = (
         "_down",

@@ -23,6 +23,7 @@ from math import ceil, exp, expm1, inf, radians
 
 from drivers.cia402.drive import Drive
 from drivers.vehicle_io import VehicleIo
+from estimators.imu_consistency import AVERAGED
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models.gravity import GRAVITY
 from telemetry.samples import Vector3
@@ -149,6 +150,8 @@ class MonocabWatch:
     """`gimbal_following` (rad) and `trim_following` (m): how far the axes are from their setpoints; `jump` (rad/s): how
     much the gyro jumped; `gained` (rad/s): the roll rate that no torque explains; `recovery`: share of what can be
     brought back that is used up."""
+
+    averaged = AVERAGED
 
     __slots__ = (
         "_angle",

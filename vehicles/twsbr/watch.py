@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
+from estimators.imu_consistency import AVERAGED
 from telemetry.samples import Vector3
 from vehicles.contract import Lean
 from vehicles.twsbr.axes import WheelMeasurement
@@ -14,6 +15,9 @@ AT_REST: Vector3 = (0.0, 0.0, 0.0)
 class TwsbrWatch:
     """The axle's speed on the floor is radius (wheel' + tilt'). The rates of the wheels were measured at the SYNC
     before the IMU's sample, so that what they explain is the contradiction of the sample before."""
+
+    averaged = AVERAGED[:1]
+    """The filter takes an acceleration of the axle that lasts for a lean."""
 
     __slots__ = ("_acceleration", "_contradiction", "_radius", "_speed")
 
