@@ -26,9 +26,11 @@ from service.virtual import run as virtual_run
 from telemetry.channels import ChannelTable
 from telemetry.clock import with_regular_times
 from telemetry.recording import Recording
+from telemetry.samples import CanFrame
 from telemetry.storage import load as load_recording
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.phases import Phase
 from vehicles.registry import recorded_loop
 
 VEHICLE = load("monocab")
@@ -59,6 +61,31 @@ def test_a_record_with_gaps_is_simulated_over_its_longest_part() -> None:
     assert 3.5 < np.ptp(simulated.time) < 4.0
     assert simulated.over_floor("roll") < 2.0
     assert simulated.over_floor("precession_rate") < 2.0
+
+
+def test_the_controller_is_known_from_a_computer_that_was_late_now_and_then() -> None:
+    """Some sets of the IMU are answered with one that comes up to 40 ms later: setpoints are computed, and not sent."""
+    section = VEHICLE.experiments["multisine"].model_copy(update={"duration": 10.0})
+    limits = VEHICLE.limits.model_copy(update={"missed_cycles": 20})
+    vehicle = VEHICLE.model_copy(update={"experiments": {"multisine": section}, "limits": limits})
+    loop = virtual_run.ClosedLoop(vehicle)
+    deliver, kept, left = loop.loop.on_frames, list[CanFrame](), 0
+
+    def late(frames: list[CanFrame]) -> None:
+        nonlocal left
+        left = 10 if not left and loop.loop.cycles % 100 == 0 else max(0, left - 1)
+        kept.extend(frames)
+        if not left:
+            deliver(kept.copy())
+            kept.clear()
+
+    loop.loop.on_frames = late  # type: ignore[method-assign]
+    loop.run("multisine")
+    found = with_regular_times(loop.recording("late"))
+    sent = found["precession_rate_setpoint"][found["phase"] >= Phase.SETTLE]
+    assert 0.05 < np.mean(np.diff(sent) == 0.0) < 0.2
+    known = recorded_loop(vehicle, found)
+    assert isinstance(known, Loop), known
 
 
 @cache
