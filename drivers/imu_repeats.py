@@ -45,9 +45,11 @@ class Repeats:
             self.begin()
 
     def begin(self) -> None:
-        """The next reading does not follow the last one. What was a run of repeats is known now."""
-        self._pairs += self._run
-        self._same += self._run
+        """The next reading does not follow the last one. A run of repeats that chance explains is known now; one that it
+        does not explain was no measurement, and teaches nothing."""
+        if not self.stuck:
+            self._pairs += self._run
+            self._same += self._run
         self._run, self._evidence = 0, 0.0
         if self._pairs > REMEMBERED:
             self._pairs //= 2

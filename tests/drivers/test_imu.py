@@ -349,6 +349,18 @@ def test_an_accelerometer_that_repeats_itself_leaves_the_gyro_usable() -> None:
     assert not imu.accelerometer_stuck
 
 
+def test_a_dead_gyro_stays_stuck_when_a_recording_begins() -> None:
+    """Otherwise a gyro that has been dead for a minute would be usual, and the vehicle could rise with it."""
+    imu = Imu(CANOPEN)
+    for number in range(15_000):
+        feed(imu, encode_frames(CANOPEN, replace(sample_at(number), angular_rate=(0.0, 0.01, 0.02))))
+    assert imu.health(sample_at(14_999).timestamp_ns) is ImuHealth.STUCK
+    imu.reset()
+    for number in range(15_000, 15_005):
+        (sample,) = feed(imu, encode_frames(CANOPEN, replace(sample_at(number), angular_rate=(0.0, 0.01, 0.02))))
+    assert imu.health(sample.timestamp_ns) is ImuHealth.STUCK
+
+
 def test_a_sensor_of_16_bits_that_stops_after_it_moved_is_stuck() -> None:
     imu = Imu(SEQUENTIAL)
     turning = np.random.default_rng(7).normal(0.0, 0.02, (500, 3)).tolist()
