@@ -45,8 +45,8 @@ class Repeats:
             self.begin()
 
     def begin(self) -> None:
-        """The next reading does not follow the last one. A run of repeats that chance explains is known now; one that it
-        does not explain was no measurement, and teaches nothing."""
+        """The next reading does not follow the last one. A run of repeats that chance explains is known now; one that
+        it does not explain was no measurement, and teaches nothing."""
         if not self.stuck:
             self._pairs += self._run
             self._same += self._run

@@ -7,7 +7,6 @@ has the value that was received last, NaN before its first.
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -22,29 +21,10 @@ from telemetry.channels import Channel, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame
+from telemetry.tables.units import Unit, unit_of
 
 OTHERS = (".kcd", ".sym", ".arxml")
 """Suffixes of other formats that cantools reads as well."""
-
-SI = {
-    **dict.fromkeys(("deg", "°", "degree", "degrees", "grad"), ("rad", math.pi / 180.0)),
-    **dict.fromkeys(("deg/s", "°/s", "dps"), ("rad/s", math.pi / 180.0)),
-    **dict.fromkeys(("rpm", "1/min", "U/min", "min-1", "r/min"), ("rad/s", math.tau / 60.0)),
-    "mm": ("m", 1e-3),
-    "cm": ("m", 1e-2),
-    "mm/s": ("m/s", 1e-3),
-    "km/h": ("m/s", 1.0 / 3.6),
-    "g": ("m/s^2", 9.80665),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "mV": ("V", 1e-3),
-    "mA": ("A", 1e-3),
-    **dict.fromkeys(("mNm", "mN m"), ("N m", 1e-3)),
-    "Nm": ("N m", 1.0),
-    "%": ("1", 1e-2),
-    "": ("1", 1.0),
-}
-"""Unit in a DBC to the SI unit and the factor; any other unit is kept."""
 
 
 @dataclass(slots=True)
@@ -140,10 +120,10 @@ def _recording(found: dict[tuple[str, str], _Signal], times: Iterable[int], sour
     often = Counter(name for _, name in found)
     channels, values = [], {}
     for (message, name), signal in found.items():
-        unit, factor = SI.get(signal.unit.strip(), (signal.unit, 1.0))
+        written = unit_of(signal.unit or "1") or Unit(signal.unit, 1.0)
         called = name if often[name] == 1 else f"{message}.{name}"
-        channels.append(Channel(called, unit, signal.meaning))
-        values[called] = factor * _held(signal, instants)
+        channels.append(Channel(called, written.si, signal.meaning))
+        values[called] = written.factor * _held(signal, instants)
     return Recording(ChannelTable(channels), instants, values, truncated=notes, source=source)
 
 

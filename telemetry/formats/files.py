@@ -37,7 +37,7 @@ class Format:
     remedy: str = "Copy the file again, or export it from the program that wrote it."
 
 
-TEXT = Format("table of text", "text", (".csv", ".txt", ".tsv", ".dat", ".lvm", ".tab"))
+TEXT = Format("table of text", "text.text_file", (".csv", ".txt", ".tsv", ".dat", ".lvm", ".tab"))
 ROSBAG2 = Format(
     "rosbag 2",
     "rosbag2",

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from telemetry.formats.arrow import of_frame
 from telemetry.formats.columns import seconds, table_of
-from telemetry.tables.arrow_columns import of_frame
 from telemetry.tables.raw import Column, RawTable
 from telemetry.tables.times import is_time_name
 from telemetry.tables.units import name_and_unit

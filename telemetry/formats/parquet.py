@@ -1,14 +1,28 @@
-"""Parquet (telemetry.tables.arrow_columns)."""
+"""Parquet."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from telemetry.tables.arrow_columns import read_parquet
+import pyarrow as pa
+import pyarrow.parquet
+
+from telemetry.errors import RecordingError
+from telemetry.formats.arrow import raw
 from telemetry.tables.raw import RawTable
 
 
 def read(path: Path) -> Sequence[RawTable]:
     """One table. Raises RecordingError, OSError."""
-    return (read_parquet(path.read_bytes(), str(path)),)
+    content, source = path.read_bytes(), str(path)
+    try:
+        table = pa.parquet.read_table(pa.BufferReader(content))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise RecordingError(
+            source,
+            "",
+            "is not a complete Parquet file",
+            remedy="A Parquet file that was cut off is lost: convert it again from the .arrow recording.",
+        ) from error
+    return (raw(table, source),)

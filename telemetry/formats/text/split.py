@@ -11,7 +11,7 @@ from typing import Any
 
 from telemetry.documents import from_json
 from telemetry.errors import RecordingError
-from telemetry.tables.text.fields import Decimal, decimal_of, is_hole, is_number
+from telemetry.formats.text.fields import Decimal, decimal_of, is_hole, is_number
 
 SAMPLE = 60
 """Lines that are looked at to find the separator: from the second half of a file, where there is no heading."""

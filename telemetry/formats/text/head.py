@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from telemetry.errors import RecordingError
-from telemetry.tables.text.fields import is_hole, is_number
-from telemetry.tables.text.split import Row, Rows, split_line
+from telemetry.formats.text.fields import is_hole, is_number
+from telemetry.formats.text.split import Row, Rows, split_line
 from telemetry.tables.units import is_unit
 
 COMMENTS = ("#", "%", "//", "!", "*", ";")

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from telemetry.formats.text.decoded import decoded
+from telemetry.formats.text.fields import Decimal, numbers
+from telemetry.formats.text.head import counts_up, head_of
+from telemetry.formats.text.split import rows_of
 from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.text.decoded import decoded
-from telemetry.tables.text.fields import Decimal, numbers
-from telemetry.tables.text.head import counts_up, head_of
-from telemetry.tables.text.split import rows_of
 from telemetry.tables.units import name_and_unit
 
 FEW = 40
 """Distinct texts up to which a column of text may name channels."""
+
+
+def read(path: Path) -> Sequence[RawTable]:
+    """One table. Raises RecordingError, OSError."""
+    return (read_text(path.read_bytes(), str(path)),)
 
 
 def read_text(content: bytes, source: str) -> RawTable:
