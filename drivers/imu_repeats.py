@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from math import log
 
-SURE = log(1e9)
-"""Nats: chance repeats one axis at 500 Hz for so long once in 500 h."""
+BEYOND_CHANCE = log(1e9)
+"""Log-odds: chance repeats one axis at 500 Hz for so long once in 500 h."""
 REMEMBERED = 4096
 """Pairs of readings after which the older ones count half."""
 
@@ -32,7 +32,7 @@ class Repeats:
     @property
     def stuck(self) -> bool:
         """Whether chance does not explain how often it has repeated itself up to now."""
-        return self._evidence > SURE
+        return self._evidence > BEYOND_CHANCE
 
     def update(self, same: bool) -> None:
         """One reading more."""

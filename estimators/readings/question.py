@@ -29,7 +29,7 @@ from telemetry.recording import Recording
 from telemetry.tables.mapping import Assumption, factor_of
 
 DECISIVE = math.log(1e6)
-"""Nats by which another reading must be better: odds of a million to one."""
+"""Log-likelihood ratio by which another reading must be better: odds of a million to one."""
 ROWS = 2000
 """Samples that are looked at: those with the most motion."""
 MOST = 3
@@ -45,8 +45,8 @@ FEWER = 500
 @dataclass(frozen=True, slots=True)
 class Question:
     """`together` are the readings that fit, if all of them are taken; `instead` are those of the last one that fit as
-    well. `plain` is the score of the table as it is (None if the model cannot be fitted to it), `best` that of the
-    readings, both in nats."""
+    well. `plain` is the log-likelihood ratio of the table as it is (None if the model cannot be fitted to it), `best`
+    that of the readings."""
 
     source: str
     together: tuple[Reading, ...]
@@ -61,7 +61,8 @@ class Question:
         other = "".join(f", or {each.words}" for each in self.instead)
         if self.plain is None:
             return f"seems to have {said}{other}: as it is, the model cannot be fitted to it"
-        return f"seems to have {said}{other}: read so, the model fits better by {self.best - self.plain:.0f} nats"
+        higher = f"{self.best - self.plain:.0f} higher"
+        return f"seems to have {said}{other}: read so, the log-likelihood of the model is {higher}"
 
     @property
     def remedy(self) -> str:
@@ -106,7 +107,7 @@ def _question(model: Model, recording: Recording, settled: Collection[str], supp
         tried = [(found, each) for each in possible if (found := score(model, each.of(now), support))]
         if before is not None and before.off > DECISIVE:
             tried += _factors(model, now, known, support)
-        highest = max((found for found, _ in tried), key=lambda each: each.gain, default=None)
+        highest = max((found for found, _ in tried), key=lambda each: each.log_ratio, default=None)
         if highest is None or not _better(highest, before):
             break
         # A unit that has a name is likelier than a factor that fits as well: it comes first.
@@ -120,14 +121,14 @@ def _question(model: Model, recording: Recording, settled: Collection[str], supp
     if not taken or before is None:
         return None
     # What contradicts itself cannot stay as it is; anything else has to be predicted well in another way.
-    if not contradictory and not (before.gain > 0.0 and _by_inputs(model, now, before, support)):
+    if not contradictory and not (before.log_ratio > 0.0 and _by_inputs(model, now, before, support)):
         return None
-    nats = None if plain is None else plain.gain * plain.rows
-    return Question(recording.source, tuple(taken), tuple(instead), nats, before.gain * before.rows)
+    as_it_is = None if plain is None else plain.log_ratio * plain.rows
+    return Question(recording.source, tuple(taken), tuple(instead), as_it_is, before.log_ratio * before.rows)
 
 
 def _better(one: Score, other: Score | None) -> bool:
-    return other is None or (one.gain - other.gain) * min(one.rows, other.rows) > DECISIVE
+    return other is None or (one.log_ratio - other.log_ratio) * min(one.rows, other.rows) > DECISIVE
 
 
 def _off(model: Model, recording: Recording, support: float | None) -> tuple[float | None, bool]:
@@ -199,7 +200,7 @@ def _factor(roughly: Callable[[float], Score | None], tried: Callable[[float], S
 
     def cost(logarithm: float, sign: float, tried: Callable[[float], Score | None] = tried) -> float:
         found = tried(sign * math.exp(logarithm))
-        return math.inf if found is None else -found.gain * found.rows
+        return math.inf if found is None else -found.log_ratio * found.rows
 
     grid = math.log(10.0) * np.arange(-DECADES, DECADES + 1.0)
     costs = {(each, sign): cost(each, sign, roughly) for each in grid.tolist() for sign in (1.0, -1.0)}

@@ -32,10 +32,10 @@ STEPS = 15
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """`gain`: the log-likelihood ratio of a sample; `rows` samples; `off`: how far the parameters are from their CAD
-    values, as a part of the cost (half the sum of squared deviations)."""
+    """`log_ratio`: the log-likelihood ratio, of one sample; `rows` samples; `off`: how far the parameters are from their
+    CAD values, as a part of the cost (half the sum of squared deviations)."""
 
-    gain: float
+    log_ratio: float
     rows: int
     off: float
 
@@ -57,8 +57,8 @@ def score(model: Model, recording: Recording | None, support: float | None) -> S
         for value, each in zip(found.minimum.common, task.parameters, strict=False)
         if each.std
     )
-    gain = (plain - found.minimum.cost) / task.rows
-    return Score(float(gain), task.rows, 0.5 * float(off)) if np.isfinite(gain) else None
+    ratio = (plain - found.minimum.cost) / task.rows
+    return Score(float(ratio), task.rows, 0.5 * float(off)) if np.isfinite(ratio) else None
 
 
 def extrapolated(rows: list[Segment]) -> float:

@@ -29,6 +29,23 @@ def test_a_part_is_read(folder: Path) -> None:
     assert isinstance(part, upright.Recording)
 
 
+def test_the_user_says_what_a_table_does_not(folder: Path, tmp_path: Path) -> None:
+    plain = upright.load(folder / "run.csv")
+    table = tmp_path / "other.csv"
+    columns = np.column_stack((1e3 * plain.time, plain["voltage"] * 255.0 / 12.0, np.degrees(plain["angle"])))
+    np.savetxt(table, columns, fmt="%.9g", delimiter=",", header="tick,u,pos", comments="")
+    said = {"columns": {"time": "tick:ms", "angle": "pos:deg", "voltage": "u"}, "assume": {"voltage": "12/255"}}
+    found = upright.load(table, model=folder / "pendulum.toml", **said)
+    np.testing.assert_allclose(found["angle"], plain["angle"], atol=1e-7)
+    np.testing.assert_allclose(found["voltage"], plain["voltage"], atol=1e-6)
+    assert found.settled == {"time", "angle", "voltage"}  # so no question is asked about them
+    assert any("angle" in each for each in found.assumed)
+    written = tmp_path / "mapped.toml"
+    text = (folder / "pendulum.toml").read_text()
+    written.write_text(text + '\n[columns]\ntime = "tick:ms"\nangle = "pos:deg"\nvoltage = "u:0.0470588235"\n')
+    np.testing.assert_allclose(upright.load(table, model=written)["voltage"], plain["voltage"], atol=1e-6)
+
+
 def test_what_is_unusual_is_a_warning(tmp_path: Path) -> None:
     cut = tmp_path / "cut.csv"
     cut.write_text("time,angle\n0.0,1.0\n0.1,2.0\n0.2,2.5\n0.3")
