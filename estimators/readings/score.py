@@ -32,7 +32,7 @@ STEPS = 15
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """`log_ratio`: the log-likelihood ratio, of one sample; `rows` samples; `off`: how far the parameters are from their
+    """`log_ratio`: log-likelihood ratio, of one sample; `rows` samples; `off`: how far the parameters are from their
     CAD values, as a part of the cost (half the sum of squared deviations)."""
 
     log_ratio: float
