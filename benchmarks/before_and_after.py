@@ -75,8 +75,8 @@ def main() -> None:
 def make(path: Path, vehicle: str, experiment: str, hidden: Sequence[str]) -> None:
     """Write a recording: of the MONOCAB a minute of free motion, of the robot the whole experiment."""
     from benchmarks.diagnosing import minute
-    from service.virtual.run import record
-    from telemetry.storage import save
+    from upright.service.virtual.run import record
+    from upright.telemetry.storage import save
 
     recording = minute(experiment, hidden, SEED) if vehicle == "monocab" else None
     save(recording or record(vehicle, experiment, hide=list(hidden), seed=SEED), path)
@@ -110,7 +110,7 @@ def show(name: str, found: Mapping[str, dict[str, Any]]) -> None:
 
 def counted(vehicle: str, recording: str) -> dict[str, Any]:
     """One diagnosis on the command line of the build that is imported, with its counts."""
-    app = importlib.import_module("service.cli").app
+    app = importlib.import_module("upright.service.cli").app
     for package in PACKAGES:
         for each in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             importlib.import_module(each.name)

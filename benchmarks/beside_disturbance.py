@@ -19,17 +19,17 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
-from diagnosis.diagnose import Diagnosis, Verdict
-from diagnosis.parts import diagnose_parts
-from estimators.identify.run import with_values
-from estimators.methods.prediction_error import prediction_error
-from service.hidden_effects.trial import Bench
-from service.offline.diagnose import default_budget
-from service.virtual.run import record
-from simulation.monocab.hidden import HIDDEN
-from telemetry.errors import UprightError
-from vehicles import registry
-from vehicles.file import load
+from upright.diagnosis.diagnose import Diagnosis, Verdict
+from upright.diagnosis.parts import diagnose_parts
+from upright.estimators.identify.run import with_values
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.service.hidden_effects.trial import Bench
+from upright.service.offline.diagnose import default_budget
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.telemetry.errors import UprightError
+from upright.vehicles import registry
+from upright.vehicles.file import load
 
 LEARNED = "gyro_bias"
 """The roll filter has estimated it before the vehicle moves, so the recording contains nothing of it."""

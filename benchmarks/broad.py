@@ -31,10 +31,10 @@ import vqf
 from rich.console import Console
 from rich.table import Table
 
-from drivers.imu import Imu
-from drivers.imu_layout import ACCELERATION, ANGULAR_RATE, ImuConfig, encode_frames
-from estimators.roll_filter import RollFilter, RollFilterConfig
-from telemetry.samples import ImuSample
+from upright.drivers.imu import Imu
+from upright.drivers.imu_layout import ACCELERATION, ANGULAR_RATE, ImuConfig, encode_frames
+from upright.estimators.roll_filter import RollFilter, RollFilterConfig
+from upright.telemetry.samples import ImuSample
 
 ROOT = Path(__file__).resolve().parent.parent
 TRIALS = ROOT.parent / "shared" / "data" / "broad"

@@ -33,16 +33,16 @@ from hostile_client import KINDS
 from turnaround import Monitor, answered, running
 from vehicle_at import at_rate
 
-from drivers.bus import BusError
-from service.control.api import ApiError, call
-from service.control.daemon import Daemon, Places
-from service.control.loop import Mode
-from service.virtual.serving import virtual_vehicle_beside
-from telemetry.samples import CanFrame
-from vehicles.file import load
+from upright.drivers.bus import BusError
+from upright.service.control.api import ApiError, call
+from upright.service.control.daemon import Daemon, Places
+from upright.service.control.loop import Mode
+from upright.service.virtual.serving import virtual_vehicle_beside
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import load
 
 HERE = Path(__file__).resolve().parent
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in ("20", "10"))
 """As systemd/upright.service.d/realtime.conf gives the daemon; the vehicle comes first, as a real one does not wait."""
 READER = 5

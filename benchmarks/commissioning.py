@@ -22,16 +22,16 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
 
-from service.commission.guide import Guide
-from service.control.daemon import Places
-from service.virtual.daemon import daemon_beside
-from service.virtual.vehicle import requested_disturbance
-from simulation.config import SimulationConfig
-from simulation.faults import parse_faults
-from simulation.vehicle import VirtualVehicle
-from vehicles.commissioning import Entry, State, is_within
-from vehicles.file import load
-from vehicles.sections import VehicleFile
+from upright.service.commission.guide import Guide
+from upright.service.control.daemon import Places
+from upright.service.virtual.daemon import daemon_beside
+from upright.service.virtual.vehicle import requested_disturbance
+from upright.simulation.config import SimulationConfig
+from upright.simulation.faults import parse_faults
+from upright.simulation.vehicle import VirtualVehicle
+from upright.vehicles.commissioning import Entry, State, is_within
+from upright.vehicles.file import load
+from upright.vehicles.sections import VehicleFile
 
 SEED = 700
 """Of the sensors' noise and of the disturbance. No limit of a step was chosen with it."""
@@ -189,7 +189,7 @@ def print_defect(defect: Defect) -> None:
 
 
 def load_steps() -> Any:
-    from vehicles.commissioning import steps_of as of
+    from upright.vehicles.commissioning import steps_of as of
 
     return of("monocab")
 

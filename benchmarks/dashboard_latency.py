@@ -10,7 +10,7 @@ import numpy as np
 from dashboard_parts import broker, browser, daemon, live, opened, server, until
 from playwright.sync_api import Page
 
-from vehicles.file import load
+from upright.vehicles.file import load
 
 DELAYS = """seconds => new Promise((resolve) => {
   const output = document.querySelector("[id^=value-]"), delays = [], begin = performance.now();

@@ -18,12 +18,12 @@ from typing import Any
 import uvicorn
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from service.control.api import ApiError, call
-from service.dashboard.app import Dashboard, Settings
-from service.dashboard.guard import LIMITS
-from vehicles.sections import VehicleFile
+from upright.service.control.api import ApiError, call
+from upright.service.dashboard.app import Dashboard, Settings
+from upright.service.dashboard.guard import LIMITS
+from upright.vehicles.sections import VehicleFile
 
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 
 
 def free_port() -> int:

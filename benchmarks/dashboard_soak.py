@@ -12,7 +12,7 @@ from dashboard_parts import broker, browser, opened, server
 from dashboard_story import Publisher, Story
 from playwright.sync_api import Browser, Page
 
-from vehicles.file import load
+from upright.vehicles.file import load
 
 HOURS = 4.0
 AHEAD = 20.0

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import paho.mqtt.client as mqtt
 
-from service.mqtt.payloads import TelemetryBatches
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.sections import VehicleFile
+from upright.service.mqtt.payloads import TelemetryBatches
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.sections import VehicleFile
 
 STATE = {
     "vehicle": "monocab", "mode": "running", "experiment": "multisine", "phase": "excite", "code": "", "reason": "",

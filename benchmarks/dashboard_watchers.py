@@ -24,10 +24,10 @@ from dashboard_parts import UPRIGHT, broker, browser, daemon, live, opened, serv
 from dashboard_story import Publisher
 from scipy.stats import t as student
 
-from drivers.bus_address import connect
-from service.control.assembly import imu_config
-from vehicles.file import load
-from vehicles.sections import VehicleFile
+from upright.drivers.bus_address import connect
+from upright.service.control.assembly import imu_config
+from upright.vehicles.file import load
+from upright.vehicles.sections import VehicleFile
 
 BUS = "udp_multicast:239.74.163.91"
 PAGES = 10

@@ -33,22 +33,22 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
 
 from benchmarks import free_decays, measured_verdicts, others_recordings
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.gates import HeldOut, Round, Tried, decide, gated, tie
-from diagnosis.parts import diagnose_parts
-from models.effect import Effect, Family
-from models.effects.catalogue import CATALOGUE
-from models.model import Model
-from service.hidden_effects.cases import pairs
-from service.hidden_effects.vehicles import drawn
-from service.virtual.run import record
-from simulation.monocab.hidden import HIDDEN, UNLISTED
-from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
-from telemetry import storage
-from telemetry.clock import with_regular_times
-from telemetry.errors import UprightError
-from vehicles import registry
-from vehicles.file import load
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.gates import HeldOut, Round, Tried, decide, gated, tie
+from upright.diagnosis.parts import diagnose_parts
+from upright.models.effect import Effect, Family
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.model import Model
+from upright.service.hidden_effects.cases import pairs
+from upright.service.hidden_effects.vehicles import drawn
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import HIDDEN, UNLISTED
+from upright.simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
+from upright.telemetry import storage
+from upright.telemetry.clock import with_regular_times
+from upright.telemetry.errors import UprightError
+from upright.vehicles import registry
+from upright.vehicles.file import load
 
 HERE = Path(__file__).parent
 KEPT = HERE / "decisions.jsonl.xz"

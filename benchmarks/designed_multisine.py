@@ -23,13 +23,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 
 import numpy as np
 
-from diagnosis.prediction.closed_loop import Experiment, causal, simulate
-from estimators.methods.prediction_error import prediction_error
-from service.offline.models import identified_model
-from service.offline.multisine import NAME, DesignedMultisine, designed_multisine
-from service.virtual.run import record
-from vehicles import registry
-from vehicles.file import VehicleFile, load
+from upright.diagnosis.prediction.closed_loop import Experiment, causal, simulate
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.service.offline.models import identified_model
+from upright.service.offline.multisine import NAME, DesignedMultisine, designed_multisine
+from upright.service.virtual.run import record
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile, load
 
 SEED = 500
 """Of the parameters and of the records. No setting was chosen with it."""

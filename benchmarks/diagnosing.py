@@ -17,18 +17,18 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from diagnosis.diagnose import diagnose
-from diagnosis.fits.refit import settled
-from diagnosis.prepare.usable import check
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import score_test
-from diagnosis.score.whitened import Whitened
-from estimators.identify.run import with_values
-from service.hidden_effects.methods.exhaustive import exhaustive_bic
-from service.virtual.run import record
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import diagnose
+from upright.diagnosis.fits.refit import settled
+from upright.diagnosis.prepare.usable import check
+from upright.diagnosis.prepare.workspace import Workspace, attached
+from upright.diagnosis.score.score_test import score_test
+from upright.diagnosis.score.whitened import Whitened
+from upright.estimators.identify.run import with_values
+from upright.service.hidden_effects.methods.exhaustive import exhaustive_bic
+from upright.service.virtual.run import record
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

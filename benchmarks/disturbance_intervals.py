@@ -18,12 +18,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimators.methods.prediction_error import prediction_error
-from service.hidden_effects.cases import Case
-from service.hidden_effects.disturbances import drawn_for
-from service.hidden_effects.trial import WITHIN_95, Bench, disturbance_of
-from service.hidden_effects.vehicles import drawn
-from vehicles.file import load
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.service.hidden_effects.cases import Case
+from upright.service.hidden_effects.disturbances import drawn_for
+from upright.service.hidden_effects.trial import WITHIN_95, Bench, disturbance_of
+from upright.service.hidden_effects.vehicles import drawn
+from upright.vehicles.file import load
 
 EDGES = (0.0, 0.2, 1.0, np.inf)
 """s: limits of the classes of correlation times."""

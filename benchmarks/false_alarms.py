@@ -18,22 +18,22 @@ from functools import partial
 
 from scipy.stats import binomtest
 
-from diagnosis.diagnose import Verdict, diagnose
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import score_test
-from diagnosis.score.whitened import Whitened
-from estimators.data.segments import after_settling
-from estimators.fit.maximum_likelihood import fit
-from estimators.identify.run import with_values
-from models.model import Model
-from service.hidden_effects.disturbances import Disturbances, drawn_for, parse_disturbances, sensor_floor
-from service.hidden_effects.vehicles import drawn
-from service.virtual.run import record
-from simulation.config import ImuNode, Truth
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Verdict, diagnose
+from upright.diagnosis.prepare.workspace import Workspace, attached
+from upright.diagnosis.score.score_test import score_test
+from upright.diagnosis.score.whitened import Whitened
+from upright.estimators.data.segments import after_settling
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.identify.run import with_values
+from upright.models.model import Model
+from upright.service.hidden_effects.disturbances import Disturbances, drawn_for, parse_disturbances, sensor_floor
+from upright.service.hidden_effects.vehicles import drawn
+from upright.service.virtual.run import record
+from upright.simulation.config import ImuNode, Truth
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 LEVELS = (0.01, 0.05, 0.2, 0.5)
 EXPERIMENTS = {"monocab": "multisine", "twsbr": "square"}

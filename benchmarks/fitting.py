@@ -48,15 +48,15 @@ from rich.table import Table
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-import estimators
-from models import library
-from models.compiler.kernel import compile_model
-from models.effects.catalogue import CATALOGUE
-from models.model import Model
-from models.parts import Actuator, Hold, Input, Joint, Output, Parameter, State
-from models.segment import Segment
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
+from upright import estimators
+from upright.models import library
+from upright.models.compiler.kernel import compile_model
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.model import Model
+from upright.models.parts import Actuator, Hold, Input, Joint, Output, Parameter, State
+from upright.models.segment import Segment
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -392,9 +392,9 @@ def _ipopt(V: ca.MX, e: ca.MX, start: Array, scale: Array, names: list[str]) -> 
 
 COMPILE = """
 import json, sys, time
-from models import library
-from models.effects.catalogue import CATALOGUE
-from models.compiler.kernel import compile_model
+from upright.models import library
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.compiler.kernel import compile_model
 model = library.get("monocab_reduced")
 for name in CATALOGUE:
     model = model.add(name)

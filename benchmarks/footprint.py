@@ -16,10 +16,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from service.control.api import ApiError, call
+from upright.service.control.api import ApiError, call
 
 BUS = "udp_multicast:239.74.163.77"
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 LIBRARIES = "numpy, scipy.linalg, filterpy.kalman, canopen, can"
 IMPORTS = f"import sys; sys.modules['asammdf'] = None; import {LIBRARIES}; sys.stdin.read()"
 RUNS = 5

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from service.control import assembly
-from vehicles.file import VehicleFile, load
+from upright.service.control import assembly
+from upright.vehicles.file import VehicleFile, load
 
 HOUR = 3600.0
 Mask = npt.NDArray[np.bool_]

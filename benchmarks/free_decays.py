@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.diagnose import Diagnosis, diagnose
-from estimators.stopwatch import stopwatch
-from models.model import Model
-from models.parts import Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
-from telemetry.recording import Recording, describe
+from upright.diagnosis.diagnose import Diagnosis, diagnose
+from upright.estimators.stopwatch import stopwatch
+from upright.models.model import Model
+from upright.models.parts import Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
+from upright.telemetry.recording import Recording, describe
 
 Array = NDArray[np.float64]
 

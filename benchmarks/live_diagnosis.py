@@ -29,16 +29,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 import numpy as np
 from scipy.stats import binomtest, chi2
 
-from diagnosis.live.live import LiveDiagnosis
-from diagnosis.live.naming import LiveFinding
-from estimators.recursive.predictor import Seen
-from service.virtual.run import BOOT_TIME, record
-from simulation.monocab.hidden import HIDDEN, LATE, UNLISTED
-from simulation.vehicle import START_NS
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.registry import nominal_model
+from upright.diagnosis.live.live import LiveDiagnosis
+from upright.diagnosis.live.naming import LiveFinding
+from upright.estimators.recursive.predictor import Seen
+from upright.service.virtual.run import BOOT_TIME, record
+from upright.simulation.monocab.hidden import HIDDEN, LATE, UNLISTED
+from upright.simulation.vehicle import START_NS
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 REPEATS = 5

@@ -23,13 +23,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.parting import partings
-from service.observer.online_estimators import RECURSION, EstimatorBank, online_estimators
-from service.virtual.run import record
-from simulation.config import SimulationConfig
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import load
+from upright.estimators.parting import partings
+from upright.service.observer.online_estimators import RECURSION, EstimatorBank, online_estimators
+from upright.service.virtual.run import record
+from upright.simulation.config import SimulationConfig
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import load
 
 EXPERIMENTS = {"monocab": "multisine", "twsbr": "sine_stream", "cube": "multisine"}
 REPEATS = 3

@@ -26,20 +26,20 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.diagnose import Diagnosis, diagnose
-from estimators.identify.run import with_values
-from estimators.stopwatch import stopwatch
 from examples import emps, quarter_drone, unbalanced_disk
-from models.effects.catalogue import CATALOGUE
-from models.file.model_file import load_model
-from models.model import Model
-from models.parts import Disturbance
-from service.offline.diagnose import default_budget
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
-from telemetry.storage import load
-from vehicles.file import load as vehicle
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, diagnose
+from upright.estimators.identify.run import with_values
+from upright.estimators.stopwatch import stopwatch
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.file.model_file import load_model
+from upright.models.model import Model
+from upright.models.parts import Disturbance
+from upright.service.offline.diagnose import default_budget
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load
+from upright.vehicles.file import load as vehicle
+from upright.vehicles.registry import nominal_model
 
 HERE = Path(__file__).parent
 ROWS = 8192

@@ -38,11 +38,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from service.virtual.run import record
-from simulation.monocab.truth import PlantTruth
-from telemetry.storage import load as load_recording
-from telemetry.storage import save
-from vehicles.file import load
+from upright.service.virtual.run import record
+from upright.simulation.monocab.truth import PlantTruth
+from upright.telemetry.storage import load as load_recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
 
 METHODS = ("prediction_error", "output_error", "least_squares", "instrumental_variables")
 PEERS = ("recursive_least_squares", "recursive_instrumental_variables")
@@ -141,8 +141,8 @@ def fit(method: str, path: Path) -> Fit:
     if method in PEERS:
         estimate = _recursive(method, recording, vehicle)
     else:
-        import estimators
-        from vehicles.monocab.model import MONOCAB_ROLL
+        from upright import estimators
+        from upright.vehicles.monocab.model import MONOCAB_ROLL
 
         there = {parameter.name for parameter in MONOCAB_ROLL.parameters}
         cad, std = vehicle.parameters.values, vehicle.parameters.deviations
@@ -161,7 +161,7 @@ def fit(method: str, path: Path) -> Fit:
 
 
 def _recursive(method: str, recording: Any, vehicle: Any) -> Any:
-    from vehicles.monocab.identification.torque_balance import Method, make
+    from upright.vehicles.monocab.identification.torque_balance import Method, make
 
     values, deviations = (
         {**vehicle.parameters.values, **EXACT},

@@ -27,17 +27,17 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
 
-from diagnosis.fits.refit import settled
-from diagnosis.prepare.ready import ready
-from diagnosis.prepare.workspace import Workspace
-from estimators.fit.likelihood import Likelihood, Seen
-from estimators.fit.logarithms import InLogarithms
-from estimators.fit.maximum_likelihood import Begin, fit, noise_of
-from estimators.fit.problem import Problem
-from models.model import Model
-from service.virtual.run import record
-from vehicles import registry
-from vehicles.file import load
+from upright.diagnosis.fits.refit import settled
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.estimators.fit.likelihood import Likelihood, Seen
+from upright.estimators.fit.logarithms import InLogarithms
+from upright.estimators.fit.maximum_likelihood import Begin, fit, noise_of
+from upright.estimators.fit.problem import Problem
+from upright.models.model import Model
+from upright.service.virtual.run import record
+from upright.vehicles import registry
+from upright.vehicles.file import load
 
 Array = NDArray[np.float64]
 

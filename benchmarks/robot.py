@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
-from estimators.fit.innovations import WIDEST
-from estimators.fit.likelihood import Likelihood
-from estimators.identify.bounded_fit import BoundedFit, bounded_fit
-from models.library import get
-from service.virtual.run import record
+from upright.estimators.fit.innovations import WIDEST
+from upright.estimators.fit.likelihood import Likelihood
+from upright.estimators.identify.bounded_fit import BoundedFit, bounded_fit
+from upright.models.library import get
+from upright.service.virtual.run import record
 
 Array = NDArray[np.float64]
 

@@ -31,16 +31,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from diagnosis.prediction.compare import compare
-from estimators.stopwatch import stopwatch
-from models.library import get
-from service.offline.replay import live_diagnosis
-from service.virtual.run import record
-from simulation.twsbr.hidden import TWSBR_HIDDEN
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.registry import recorded_loop
+from upright.diagnosis.prediction.compare import compare
+from upright.estimators.stopwatch import stopwatch
+from upright.models.library import get
+from upright.service.offline.replay import live_diagnosis
+from upright.service.virtual.run import record
+from upright.simulation.twsbr.hidden import TWSBR_HIDDEN
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.registry import recorded_loop
 
 OTHERS = ("sine", "doublet", "sine_stream")
 FURTHEST = 0.5
@@ -87,7 +87,7 @@ def upright(*arguments: object) -> dict[str, Any]:
 
 def vehicle(folder: Path, softer: bool) -> Path:
     """Write the shipped vehicle file, or one with a softer controller."""
-    text = (resources.files("vehicles") / "twsbr" / "vehicle.toml").read_text(encoding="utf-8")
+    text = (resources.files("upright.vehicles") / "twsbr" / "vehicle.toml").read_text(encoding="utf-8")
     for old, new in SOFTER.items() if softer else ():
         assert text.count(old) == 1, old
         text = text.replace(old, new)

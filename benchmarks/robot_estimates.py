@@ -22,20 +22,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 import numpy as np
 from scipy.stats import binomtest
 
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import problem
-from estimators.identify.combinations import combinations
-from estimators.identify.run import with_values
-from estimators.identify.validation import on_others
-from estimators.methods.prediction_error import predicted_percent
-from estimators.recursive.prediction_error import RecursivePredictionError
-from models.expressions import number
-from service.virtual.run import record
-from simulation.twsbr.truth import TwsbrTruth
-from vehicles.file import load
-from vehicles.registry import nominal_model
-from vehicles.twsbr.channels import CHANNELS as TWSBR
-from vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.combinations import combinations
+from upright.estimators.identify.run import with_values
+from upright.estimators.identify.validation import on_others
+from upright.estimators.methods.prediction_error import predicted_percent
+from upright.estimators.recursive.prediction_error import RecursivePredictionError
+from upright.models.expressions import number
+from upright.service.virtual.run import record
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
+from upright.vehicles.twsbr.channels import CHANNELS as TWSBR
+from upright.vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
 VEHICLE = load("twsbr")
 GIVEN = VEHICLE.parameters

@@ -18,17 +18,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from diagnosis.fits.refit import full
-from diagnosis.next_experiment import Choice, suggest
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.rivals import Rival, fitted_rivals
-from estimators.identify.run import with_values
-from models.model import Model
-from service.offline.next_experiment import experiments_of
-from service.virtual.run import record
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.fits.refit import full
+from upright.diagnosis.next_experiment import Choice, suggest
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.rivals import Rival, fitted_rivals
+from upright.estimators.identify.run import with_values
+from upright.models.model import Model
+from upright.service.offline.next_experiment import experiments_of
+from upright.service.virtual.run import record
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 EXCITED = 6.8

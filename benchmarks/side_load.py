@@ -20,16 +20,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 
 import numpy as np
 
-from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report.figures.loop import save_closed_loop
-from models.model import Model
-from service.offline.diagnose import diagnosed
-from service.virtual.run import record
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import VehicleFile, load
-from vehicles.load import with_load
-from vehicles.phases import Phase
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.diagnosis.report.figures.loop import save_closed_loop
+from upright.models.model import Model
+from upright.service.offline.diagnose import diagnosed
+from upright.service.virtual.run import record
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.load import with_load
+from upright.vehicles.phases import Phase
 
 SEED = 400
 """Of the records. No setting was chosen with it."""

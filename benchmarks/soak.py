@@ -32,9 +32,9 @@ from clients import FIRST, READER, REPLY, SECOND, TRIGGER, UPRIGHT, ask, until
 from scipy.stats import t as student
 from turnaround import answered, listening, running
 
-from drivers.bus import BusError
-from drivers.cia402.nmt import HEARTBEAT_COB_ID
-from vehicles.file import load
+from upright.drivers.bus import BusError
+from upright.drivers.cia402.nmt import HEARTBEAT_COB_ID
+from upright.vehicles.file import load
 
 EXPERIMENTS = ("doublet", "step", "multisine", "hold", "square")
 WARM_UP = 1.0 / 3.0

@@ -10,8 +10,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from service.cli import main
-from vehicles.file import load
+from upright.service.cli import main
+from upright.vehicles.file import load
 
 
 def at_rate(rate: float) -> str:

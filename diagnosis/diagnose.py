@@ -13,33 +13,33 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from diagnosis.findings import Diagnosis as Diagnosis
-from diagnosis.findings import Finding as Finding
-from diagnosis.findings import Verdict as Verdict
-from diagnosis.fits.refit import FullFit, settled
-from diagnosis.lack_of_fit.adequacy import adequacy
-from diagnosis.lack_of_fit.events import Event, events, pieces
-from diagnosis.prediction.closed_loop_error import Loop
-from diagnosis.prediction.limit import prediction_limit
-from diagnosis.prediction.relevance import relevances
-from diagnosis.prepare.pieces import hidden
-from diagnosis.prepare.ready import ready, unready
-from diagnosis.prepare.usable import check
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.search.explanation import Explanation, Search, part_of
-from diagnosis.search.one_more import with_explanation
-from diagnosis.search.search import ONCE, Found, search
-from diagnosis.trial import FAILURES, tried
-from diagnosis.verdict import unidentified, untried, verdict
-from estimators.budget import Budget
-from estimators.data.segments import DataError, after_settling
-from estimators.data.time_scale import time_scale
-from estimators.fit.disturbance import disturbances
-from estimators.fit.released import released
-from estimators.fit.sensor_errors import sensor_errors
-from models.effect import Effect
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.findings import Diagnosis as Diagnosis
+from upright.diagnosis.findings import Finding as Finding
+from upright.diagnosis.findings import Verdict as Verdict
+from upright.diagnosis.fits.refit import FullFit, settled
+from upright.diagnosis.lack_of_fit.adequacy import adequacy
+from upright.diagnosis.lack_of_fit.events import Event, events, pieces
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.diagnosis.prediction.limit import prediction_limit
+from upright.diagnosis.prediction.relevance import relevances
+from upright.diagnosis.prepare.pieces import hidden
+from upright.diagnosis.prepare.ready import ready, unready
+from upright.diagnosis.prepare.usable import check
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.search.explanation import Explanation, Search, part_of
+from upright.diagnosis.search.one_more import with_explanation
+from upright.diagnosis.search.search import ONCE, Found, search
+from upright.diagnosis.trial import FAILURES, tried
+from upright.diagnosis.verdict import unidentified, untried, verdict
+from upright.estimators.budget import Budget
+from upright.estimators.data.segments import DataError, after_settling
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.released import released
+from upright.estimators.fit.sensor_errors import sensor_errors
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 SEARCH = 0.75
 """Share of a diagnosis' time budget for the search; the rest is for the checks of the remaining lack of fit and for the

@@ -19,7 +19,7 @@ import math
 
 from scipy.stats import chi2
 
-from estimators.contract import ParameterEstimate
+from upright.estimators.contract import ParameterEstimate
 
 LEVEL = 0.01
 """Probability of naming an effect when nothing is missing, and of calling a parameter needed that is not."""

@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.score.score_test import Score
-from estimators.contract import ParameterEstimate
-from estimators.numbers import significant
-from models.effect import Role
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.score.score_test import Score
+from upright.estimators.contract import ParameterEstimate
+from upright.estimators.numbers import significant
+from upright.models.effect import Role
 
 if TYPE_CHECKING:
-    from diagnosis.findings import Finding
+    from upright.diagnosis.findings import Finding
 
 MENTIONED = 0.2
 """Share of the finding's log-likelihood ratio above which that of its nearest neighbour is mentioned: a neighbour that

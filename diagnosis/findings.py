@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from diagnosis.fits.refit import FullFit
-from diagnosis.gates import HeldOut, Round
-from diagnosis.lack_of_fit.adequacy import Adequacy
-from diagnosis.lack_of_fit.events import Event
-from diagnosis.prediction.limit import PredictionLimit
-from diagnosis.prediction.relevance import Relevance
-from diagnosis.score.score_test import ScoreTest
-from estimators.contract import ParameterEstimate
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.sensor_errors import InputError, SensorError
-from models.effect import Effect
-from models.model import Model
+from upright.diagnosis.fits.refit import FullFit
+from upright.diagnosis.gates import HeldOut, Round
+from upright.diagnosis.lack_of_fit.adequacy import Adequacy
+from upright.diagnosis.lack_of_fit.events import Event
+from upright.diagnosis.prediction.limit import PredictionLimit
+from upright.diagnosis.prediction.relevance import Relevance
+from upright.diagnosis.score.score_test import ScoreTest
+from upright.estimators.contract import ParameterEstimate
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.fit.sensor_errors import InputError, SensorError
+from upright.models.effect import Effect
+from upright.models.model import Model
 
 
 class Verdict(StrEnum):

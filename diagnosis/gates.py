@@ -14,8 +14,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from diagnosis.evidence import LEVEL, SIGNIFICANT, by_chance, likelier
-from models.effect import Effect
+from upright.diagnosis.evidence import LEVEL, SIGNIFICANT, by_chance, likelier
+from upright.models.effect import Effect
 
 DOUBT = 0.05
 """p-value of the likelihood ratio below which an effect with more parameters is tied with a simpler one that is

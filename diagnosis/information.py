@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.prediction.closed_loop import Experiment, simulate
-from diagnosis.rivals import NOTHING_MORE, Rival
-from estimators.contract import EstimationError
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.problem import problem
-from models.model import Model
-from models.segment import Segment
+from upright.diagnosis.prediction.closed_loop import Experiment, simulate
+from upright.diagnosis.rivals import NOTHING_MORE, Rival
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.problem import problem
+from upright.models.model import Model
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

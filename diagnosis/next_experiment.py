@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.prediction.closed_loop import Course, Experiment, simulate
-from diagnosis.rivals import NOTHING_MORE, Rival
-from estimators.fit.gauss_newton import Block, Minimum, minimise
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.problem import Problem, problem
-from models.segment import Segment
+from upright.diagnosis.prediction.closed_loop import Course, Experiment, simulate
+from upright.diagnosis.rivals import NOTHING_MORE, Rival
+from upright.estimators.fit.gauss_newton import Block, Minimum, minimise
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.problem import Problem, problem
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -16,22 +16,22 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
-from diagnosis.evidence import is_significant
-from diagnosis.explain import together
-from diagnosis.fits.speed_loop_choice import lag_error, over_noise, small, speed_loop
-from diagnosis.prediction.closed_loop_error import Loop
-from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
-from diagnosis.search.one_more import with_estimates, with_explanation
-from diagnosis.trial import FAILURES
-from estimators.contract import ParameterEstimate
-from estimators.data.segments import DataError
-from estimators.stopwatch import stopwatch
-from models.effect import Effect
-from models.effects.catalogue import CATALOGUE, find
-from models.model import Model
-from models.parts import Place
-from telemetry.recording import Recording
+from upright.diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
+from upright.diagnosis.evidence import is_significant
+from upright.diagnosis.explain import together
+from upright.diagnosis.fits.speed_loop_choice import lag_error, over_noise, small, speed_loop
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
+from upright.diagnosis.search.one_more import with_estimates, with_explanation
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.contract import ParameterEstimate
+from upright.estimators.data.segments import DataError
+from upright.estimators.stopwatch import stopwatch
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import CATALOGUE, find
+from upright.models.model import Model
+from upright.models.parts import Place
+from upright.telemetry.recording import Recording
 
 FITS = 2.0
 """Ratio of the innovations of the actuators' rate, with the findings in the model, to its sensor's noise above which no

@@ -8,17 +8,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.fits.refit import FullFit, full
-from diagnosis.prediction.closed_loop import causal
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.search.contenders import each_fitted, look
-from estimators.budget import UNLIMITED, Budget, OutOfTime
-from estimators.data.segments import after_settling
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.likelihood import FLOOR as SENSOR_FLOOR
-from estimators.fit.stationary import stationary
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.fits.refit import FullFit, full
+from upright.diagnosis.prediction.closed_loop import causal
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.search.contenders import each_fitted, look
+from upright.estimators.budget import UNLIMITED, Budget, OutOfTime
+from upright.estimators.data.segments import after_settling
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.likelihood import FLOOR as SENSOR_FLOOR
+from upright.estimators.fit.stationary import stationary
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

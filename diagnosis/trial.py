@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from estimators.budget import OutOfTime
-from estimators.contract import EstimationError
+from upright.estimators.budget import OutOfTime
+from upright.estimators.contract import EstimationError
 
 Answer = TypeVar("Answer")
 

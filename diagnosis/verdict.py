@@ -5,16 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from diagnosis.explain import explained_by_none, together
-from diagnosis.findings import Diagnosis, Finding, Verdict
-from diagnosis.fits.refit import FullFit
-from diagnosis.lack_of_fit.adequacy import Adequacy, over_floor
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.search.search import Found
-from estimators.contract import ParameterEstimate, Status
-from estimators.disturbance_estimate import in_words
-from estimators.fit.disturbance import disturbances
-from estimators.methods.prediction_error import result
+from upright.diagnosis.explain import explained_by_none, together
+from upright.diagnosis.findings import Diagnosis, Finding, Verdict
+from upright.diagnosis.fits.refit import FullFit
+from upright.diagnosis.lack_of_fit.adequacy import Adequacy, over_floor
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.search.search import Found
+from upright.estimators.contract import ParameterEstimate, Status
+from upright.estimators.disturbance_estimate import in_words
+from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.methods.prediction_error import result
 
 
 def verdict(found: Found, rest: Adequacy, workspace: Workspace) -> Diagnosis:

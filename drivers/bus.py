@@ -17,13 +17,13 @@ from dataclasses import asdict, dataclass
 from operator import attrgetter
 from typing import Protocol, cast
 
-from drivers.bus_address import connect, split
-from drivers.bus_errors import BusDown, BusError
-from drivers.error_frames import ErrorClass, ErrorReport, decode
-from drivers.frame_clock import FrameClock
-from drivers.message_port import MessagePort
-from drivers.socketcan import SocketcanPort, SocketHolder
-from telemetry.samples import CanFrame
+from upright.drivers.bus_address import connect, split
+from upright.drivers.bus_errors import BusDown, BusError
+from upright.drivers.error_frames import ErrorClass, ErrorReport, decode
+from upright.drivers.frame_clock import FrameClock
+from upright.drivers.message_port import MessagePort
+from upright.drivers.socketcan import SocketcanPort, SocketHolder
+from upright.telemetry.samples import CanFrame
 
 __all__ = ["Bus", "BusDown", "BusError", "BusGroup", "BusStatistics"]
 

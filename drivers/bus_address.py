@@ -13,8 +13,8 @@ from typing import Any
 
 import can
 
-from drivers.bus_errors import BusError
-from drivers.socketcan import STANDARD_ID
+from upright.drivers.bus_errors import BusError
+from upright.drivers.socketcan import STANDARD_ID
 
 IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
 BITRATE_OF_INTERFACE = ("socketcan", "virtual", "udp_multicast")

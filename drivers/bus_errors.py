@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 
 class BusError(UprightError):

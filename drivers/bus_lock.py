@@ -16,8 +16,8 @@ from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from drivers.bus_address import split
-from drivers.bus_errors import BusError
+from upright.drivers.bus_address import split
+from upright.drivers.bus_errors import BusError
 
 LONGEST = 100
 """Characters of a name, of the 108 bytes that the kernel allows."""

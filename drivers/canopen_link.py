@@ -11,8 +11,8 @@ from typing import Any
 
 import canopen
 
-from drivers.bus import Bus, BusError
-from telemetry.samples import CanFrame
+from upright.drivers.bus import Bus, BusError
+from upright.telemetry.samples import CanFrame
 
 SERVICES = frozenset((0x080, 0x580, 0x700))
 """Function codes (CiA 301) of EMCY, SDO response and heartbeat: a node that sends one of them becomes known."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 
-from telemetry.samples import CanFrame
+from upright.telemetry.samples import CanFrame
 
 
 class ErrorClass(IntFlag):

@@ -13,9 +13,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from drivers.imu_layout import ImuConfig, layout_of
-from drivers.imu_repeats import Repeats
-from telemetry.samples import CanFrame, ImuSample, Vector3
+from upright.drivers.imu_layout import ImuConfig, layout_of
+from upright.drivers.imu_repeats import Repeats
+from upright.telemetry.samples import CanFrame, ImuSample, Vector3
 
 LONGEST_SET = 0.75
 """Periods from the first to the last frame of a set."""

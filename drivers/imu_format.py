@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from functools import partial
 from statistics import median
 
-from drivers.imu import Imu
-from drivers.imu_layout import CANOPEN_FRAMES, CANOPEN_SPACING, STANDARD_GRAVITY, VALUES_PER_FRAME, ImuConfig
-from telemetry.errors import UprightError
-from telemetry.samples import CanFrame
+from upright.drivers.imu import Imu
+from upright.drivers.imu_layout import CANOPEN_FRAMES, CANOPEN_SPACING, STANDARD_GRAVITY, VALUES_PER_FRAME, ImuConfig
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import CanFrame
 
 LEAST_SETS = 10
 """Sets that are needed to recognise a format."""

@@ -17,8 +17,8 @@ import struct
 from dataclasses import dataclass
 from typing import Literal
 
-from telemetry.errors import UprightError
-from telemetry.samples import CanFrame, ImuSample, Vector3
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import CanFrame, ImuSample, Vector3
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2 per g, the device's unit of acceleration."""

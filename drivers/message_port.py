@@ -19,9 +19,9 @@ from uuid import uuid4
 
 import can
 
-from drivers.frame_clock import FrameClock
-from drivers.socketcan import STANDARD_ID, read_clocks
-from telemetry.samples import CanFrame
+from upright.drivers.frame_clock import FrameClock
+from upright.drivers.socketcan import STANDARD_ID, read_clocks
+from upright.telemetry.samples import CanFrame
 
 POLL_PERIOD = 0.05
 """s after which a waiting reader checks whether it has to end."""

@@ -21,8 +21,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
-from drivers.frame_clock import DEADBAND, FrameClock
-from telemetry.samples import CanFrame
+from upright.drivers.frame_clock import DEADBAND, FrameClock
+from upright.telemetry.samples import CanFrame
 
 if TYPE_CHECKING:
     import asyncio

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from drivers.cia402.drive import Drive
-from drivers.cia402.states import State
-from drivers.imu import Imu
-from telemetry.samples import CanFrame, ImuSample
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.states import State
+from upright.drivers.imu import Imu
+from upright.telemetry.samples import CanFrame, ImuSample
 
 LARGEST = 8
 """Data bytes of a classical CAN frame."""

@@ -4,8 +4,8 @@ on a clock.
 For scripts and notebooks, the batch methods are available here by name, each `method(model, recordings, ...) ->
 Estimate`:
 
-    from telemetry.storage import load
-    import estimators
+    from upright.telemetry.storage import load
+    from upright import estimators
 
     recording = load("sweep.arrow")
     estimators.prediction_error("monocab_roll", [recording])
@@ -19,14 +19,14 @@ from importlib import import_module
 from typing import Any
 
 METHODS = {
-    "output_error": "estimators.methods.output_error",
-    "output_error_simplex": "estimators.methods.output_error",
-    "prediction_error": "estimators.methods.prediction_error",
-    "least_squares": "estimators.methods.least_squares",
-    "instrumental_variables": "estimators.methods.instrumental_variables",
-    "frequency_output_error": "estimators.methods.frequency_output_error",
-    "frequency_equation_error": "estimators.methods.frequency_equation_error",
-    "drive_lag": "estimators.methods.drive_lag",
+    "output_error": "upright.estimators.methods.output_error",
+    "output_error_simplex": "upright.estimators.methods.output_error",
+    "prediction_error": "upright.estimators.methods.prediction_error",
+    "least_squares": "upright.estimators.methods.least_squares",
+    "instrumental_variables": "upright.estimators.methods.instrumental_variables",
+    "frequency_output_error": "upright.estimators.methods.frequency_output_error",
+    "frequency_equation_error": "upright.estimators.methods.frequency_equation_error",
+    "drive_lag": "upright.estimators.methods.drive_lag",
 }
 """Batch methods: name to the module that defines it."""
 

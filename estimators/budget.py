@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from estimators.stopwatch import stopwatch
+from upright.estimators.stopwatch import stopwatch
 
 
 class OutOfTime(ArithmeticError):

@@ -16,10 +16,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.numbers import significant
-from telemetry.errors import UprightError
-from telemetry.samples import Frame
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.numbers import significant
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import Frame
 
 REPORTED_CORRELATION = 0.9
 """Correlations of a larger magnitude are reported."""

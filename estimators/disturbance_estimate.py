@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from estimators.numbers import with_error
+from upright.estimators.numbers import with_error
 
 
 @dataclass(frozen=True, slots=True)

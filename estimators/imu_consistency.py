@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from telemetry.samples import Vector3
+from upright.telemetry.samples import Vector3
 
 AVERAGED = (0.06, 0.24)
 """s, time constants of the means: short against a fall and long against vibration, and four times as long."""

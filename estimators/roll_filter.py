@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import KalmanFilter
 
-from telemetry.samples import ImuSample, Vector3
+from upright.telemetry.samples import ImuSample, Vector3
 
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 

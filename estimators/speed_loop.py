@@ -19,8 +19,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.data.segments import LONGEST_GAP
-from telemetry.recording import Recording
+from upright.estimators.data.segments import LONGEST_GAP
+from upright.telemetry.recording import Recording
 
 RUN_IN = 1.0
 """s of motion before a sample from which its rate is computed; even at the longest lag, earlier motion has decayed."""

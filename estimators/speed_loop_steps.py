@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from cmath import exp
 
-from estimators.speed_loop import MODES, Loop
+from upright.estimators.speed_loop import MODES, Loop
 
 
 class SpeedLoopSteps:

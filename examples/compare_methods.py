@@ -17,15 +17,15 @@ from math import tau
 from pathlib import Path
 from typing import Any
 
-from diagnosis.report.figures.methods import save_methods
-from estimators.identify.run import identify, with_values
-from service.pages.identify import print_methods
-from service.virtual.run import record
-from simulation.config import SimulationConfig
-from simulation.monocab.truth import PlantTruth
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model, of
+from upright.diagnosis.report.figures.methods import save_methods
+from upright.estimators.identify.run import identify, with_values
+from upright.service.pages.identify import print_methods
+from upright.service.virtual.run import record
+from upright.simulation.config import SimulationConfig
+from upright.simulation.monocab.truth import PlantTruth
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model, of
 
 VEHICLE = load("monocab")
 PLANT = PlantTruth()

@@ -22,16 +22,16 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from estimators.fit.maximum_likelihood import Fit, fit
-from estimators.fit.problem import problem
-from estimators.identify.bounded_fit import RISE, BoundedFit, Profile, bounded_fit, profile
-from estimators.identify.combinations import combinations
-from estimators.identify.validation import in_windows, on_others
-from estimators.methods.prediction_error import predicted_percent
-from models.library import get
-from service.virtual.run import record
-from telemetry.recording import Recording
-from vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
+from upright.estimators.fit.maximum_likelihood import Fit, fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.bounded_fit import RISE, BoundedFit, Profile, bounded_fit, profile
+from upright.estimators.identify.combinations import combinations
+from upright.estimators.identify.validation import in_windows, on_others
+from upright.estimators.methods.prediction_error import predicted_percent
+from upright.models.library import get
+from upright.service.virtual.run import record
+from upright.telemetry.recording import Recording
+from upright.vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
 MODEL = get("twsbr")
 TABLE_1 = MODEL.values

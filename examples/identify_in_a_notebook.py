@@ -9,7 +9,7 @@ Without a recording, one is simulated: the virtual vehicle with a static torque 
 import sys
 
 import upright
-from service.virtual.run import record
+from upright.service.virtual.run import record
 
 if len(sys.argv) > 1:
     recording = upright.load(sys.argv[1])

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-import estimators
-from estimators.contract import Estimate
-from estimators.fit.problem import problem
-from estimators.identify.validation import Validation, validate
-from estimators.methods import prediction_error
-from estimators.stopwatch import stopwatch
-from models.file.model_file import load_model
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
+from upright import estimators
+from upright.estimators.contract import Estimate
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.validation import Validation, validate
+from upright.estimators.methods import prediction_error
+from upright.estimators.stopwatch import stopwatch
+from upright.models.file.model_file import load_model
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
 
 CHANNELS = ChannelTable((Channel("voltage", "V", "of the motor"), Channel("angle", "rad", "of the disk")))
 

@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from models.effect import AttachedEffect, Effect
-from models.effects.catalogue import find
-from models.expressions import check, names_in, number
-from models.grey_box import GreyBox
-from models.natural_time import rounded
-from models.parts import Actuator, Joint, ModelError, Parameter, Place, Sensor, State
-from models.place import VOCABULARY, offer, places_of
-from models.sensing import BEGUN, FILTERED, integrated
+from upright.models.effect import AttachedEffect, Effect
+from upright.models.effects.catalogue import find
+from upright.models.expressions import check, names_in, number
+from upright.models.grey_box import GreyBox
+from upright.models.natural_time import rounded
+from upright.models.parts import Actuator, Joint, ModelError, Parameter, Place, Sensor, State
+from upright.models.place import VOCABULARY, offer, places_of
+from upright.models.sensing import BEGUN, FILTERED, integrated
 
 BELONGING: Mapping[Place, tuple[str, ...]] = {
     Place.JOINT: ("force", "twist"),

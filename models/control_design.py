@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 Matrix = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from models.control_design import (
+from upright.models.control_design import (
     ControlDesignError,
     LqiGains,
     LqiWeights,
@@ -29,7 +29,7 @@ from models.control_design import (
     design_lqi,
     open_loop,
 )
-from models.parts import Parameter
+from upright.models.parts import Parameter
 
 REGION = 0.95
 """Probability of the region of the estimates whose corners are checked."""

@@ -29,8 +29,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from models.expressions import names_in
-from models.parts import Parameter, Place, State
+from upright.models.expressions import names_in
+from upright.models.parts import Parameter, Place, State
 
 
 class Family(StrEnum):

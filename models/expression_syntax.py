@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from models.parts import ModelError
+from upright.models.parts import ModelError
 
 FUNCTIONS: Mapping[str, tuple[int, Callable[..., float]]] = {
     "sin": (1, math.sin),

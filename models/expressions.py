@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from models.expression_syntax import (
+from upright.models.expression_syntax import (
     CONSTANTS,
     FUNCTIONS,
     MOST_BITS,
@@ -27,7 +27,7 @@ from models.expression_syntax import (
     used_names,
     validated,
 )
-from models.parts import ModelError
+from upright.models.parts import ModelError
 
 if TYPE_CHECKING:
     import sympy

@@ -16,8 +16,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from models.effect import AttachedEffect
-from models.parts import Actuator, Input, Joint, ModelError, Output, Parameter, Sensor, State
+from upright.models.effect import AttachedEffect
+from upright.models.parts import Actuator, Input, Joint, ModelError, Output, Parameter, Sensor, State
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,11 +21,11 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from models.compiler.equations import Equations, compose
-from models.control_design import Matrix, StateSpace
-from models.model import Model
-from models.parts import Parameter
-from models.sensing import delayed
+from upright.models.compiler.equations import Equations, compose
+from upright.models.control_design import Matrix, StateSpace
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.models.sensing import delayed
 
 Array = NDArray[np.float64]
 Row = Mapping[str, float]

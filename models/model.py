@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from models.attach import attach
-from models.effect import Effect
-from models.grey_box import GreyBox
+from upright.models.attach import attach
+from upright.models.effect import Effect
+from upright.models.grey_box import GreyBox
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ them. Their typical sizes (`scale`) are used, since no fit changes these.
 
 from __future__ import annotations
 
-from models.grey_box import GreyBox
+from upright.models.grey_box import GreyBox
 
 OF_A_LOOP = 10.0
 """Time constants of an actuator's loop after which its response is over."""

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 
 class ModelError(UprightError):

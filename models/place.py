@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from models.grey_box import GreyBox
-from models.natural_time import USUAL, natural_time
-from models.parts import Actuator, Joint, Place, Sensor
+from upright.models.grey_box import GreyBox
+from upright.models.natural_time import USUAL, natural_time
+from upright.models.parts import Actuator, Joint, Place, Sensor
 
 _ANYWHERE = ("time", "time_scale")
 """`time_scale`, s, is a number: the model's natural time (models.natural_time)."""

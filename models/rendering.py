@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from models.effect import AttachedEffect
-from models.expressions import names_in, parse, renamed
-from models.model import Model
-from models.parts import Actuator, Filter, Joint, Place, Sensor
-from models.sensing import FILTERED, delayed, integrated
+from upright.models.effect import AttachedEffect
+from upright.models.expressions import names_in, parse, renamed
+from upright.models.model import Model
+from upright.models.parts import Actuator, Filter, Joint, Place, Sensor
+from upright.models.sensing import FILTERED, delayed, integrated
 
 
 class Kind(StrEnum):

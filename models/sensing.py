@@ -11,13 +11,13 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from models.expressions import names_in, number
-from models.grey_box import GreyBox
-from models.parts import Actuator, Joint, Place, Sensor
-from models.place import VOCABULARY
+from upright.models.expressions import names_in, number
+from upright.models.grey_box import GreyBox
+from upright.models.parts import Actuator, Joint, Place, Sensor
+from upright.models.place import VOCABULARY
 
 if TYPE_CHECKING:
-    from models.effect import AttachedEffect, Effect
+    from upright.models.effect import AttachedEffect, Effect
 
 _SEEN = "(level_error + lever * error / smoothing)"
 FILTERED: Mapping[str, str] = {

@@ -4,5 +4,5 @@ from __future__ import annotations
 
 import sys
 
-UPRIGHT = (sys.executable, "-c", "from service.cli import main; main()")
+UPRIGHT = (sys.executable, "-c", "from upright.service.cli import main; main()")
 """The words before those of a command."""

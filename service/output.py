@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from estimators.parting import partings
+from upright.estimators.parting import partings
 
 people = Console(stderr=True, highlight=False)
 """For progress, events and notes."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
-from simulation.disturbance import Disturbance, RandomTorque
-from simulation.drive_habits import DriveHabits
-from simulation.narrow_band import NarrowBand, NarrowBandTorque
-from simulation.registry import Registry, sizes_of
-from telemetry.samples import Vector3
+from upright.simulation.disturbance import Disturbance, RandomTorque
+from upright.simulation.drive_habits import DriveHabits
+from upright.simulation.narrow_band import NarrowBand, NarrowBandTorque
+from upright.simulation.registry import Registry, sizes_of
+from upright.telemetry.samples import Vector3
 
 EVENT_TIME = 10.0
 """s after the first SYNC at which a person sits down, unless stated otherwise."""

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from simulation.bus.drive_node import VirtualDrive
-from simulation.bus.machine import Machine
-from telemetry.errors import UprightError
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.simulation.bus.machine import Machine
+from upright.telemetry.errors import UprightError
 
 OVERCURRENT, CURRENT_ERROR = 0x2310, 0x02
 GAP = 0.04

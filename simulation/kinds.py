@@ -9,14 +9,14 @@ from importlib.util import find_spec
 from pkgutil import iter_modules
 from typing import Any
 
-import simulation
-from simulation.bus.machine import Machine
-from simulation.config import SimulationConfig
+from upright import simulation
+from upright.simulation.bus.machine import Machine
+from upright.simulation.config import SimulationConfig
 
 
 @cache
 def _kinds() -> tuple[Any, ...]:
-    folders = sorted(f"simulation.{each.name}.kind" for each in iter_modules(simulation.__path__) if each.ispkg)
+    folders = sorted(f"upright.simulation.{each.name}.kind" for each in iter_modules(simulation.__path__) if each.ispkg)
     return tuple(import_module(each) for each in folders if find_spec(each))
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.disturbance import NOISE_BLOCK
+from upright.simulation.disturbance import NOISE_BLOCK
 
 STREAM = 25
 """Spawn key of the torque's random numbers, which nothing else with the same seed shares."""

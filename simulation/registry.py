@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
-from simulation.disturbance import Disturbance
-from simulation.narrow_band import NarrowBand
-from telemetry.errors import UprightError
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.narrow_band import NarrowBand
+from upright.telemetry.errors import UprightError
 
 
 class UnknownEffectError(UprightError):

@@ -18,11 +18,11 @@ from time import monotonic
 
 import can
 
-from simulation.bus.port import BusPort, PortStatistics, Received
-from simulation.config import SimulationConfig
-from simulation.faults import Fault
-from simulation.load import Load, Tilt
-from simulation.vehicle import SYNC_ID, VirtualVehicle
+from upright.simulation.bus.port import BusPort, PortStatistics, Received
+from upright.simulation.config import SimulationConfig
+from upright.simulation.faults import Fault
+from upright.simulation.load import Load, Tilt
+from upright.simulation.vehicle import SYNC_ID, VirtualVehicle
 
 MOST_BEHIND = 10
 """Cycles that are caught up with; further ones are skipped."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-from simulation.input_effects import InputEffect
+from upright.simulation.input_effects import InputEffect
 
 
 class AxisMode(Enum):

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from simulation.bus.drive_node import VirtualDrive
-from simulation.bus.imu_node import VirtualImu
-from simulation.bus.machine import Machine
-from simulation.bus.object_dictionary import SimulationError
-from simulation.config import DriveNode, SimulationConfig
-from simulation.faults import FAULTS, Fault
-from simulation.kinds import machine
-from simulation.load import Load, Tilt
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.simulation.bus.imu_node import VirtualImu
+from upright.simulation.bus.machine import Machine
+from upright.simulation.bus.object_dictionary import SimulationError
+from upright.simulation.config import DriveNode, SimulationConfig
+from upright.simulation.faults import FAULTS, Fault
+from upright.simulation.kinds import machine
+from upright.simulation.load import Load, Tilt
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000

@@ -18,8 +18,8 @@ import pyarrow.ipc
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
 
 
 class ArrowStreamWriter:

@@ -32,8 +32,8 @@ from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import TextIO, cast
 
-from telemetry.errors import RecordingError
-from telemetry.samples import CanFrame
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.samples import CanFrame
 
 ERROR_FLAG = 0x20000000
 EXTENDED_MASK = 0x1FFFFFFF

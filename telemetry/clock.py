@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
-from telemetry.recording import Recording
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from telemetry.recording import Recording
+from upright.telemetry.recording import Recording
 
 
 def write_csv(recording: Recording, path: Path) -> None:

@@ -12,10 +12,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.channels import STEEPEST, Channel, ChannelTable
-from telemetry.errors import RecordingError
-from telemetry.samples import Frame
-from telemetry.vehicle_modules import each_with
+from upright.telemetry.channels import STEEPEST, Channel, ChannelTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.samples import Frame
+from upright.telemetry.vehicle_modules import each_with
 
 FARTHEST = 1 << 62
 """ns before or after 1970, until the year 2116: differences of two such times are exact."""

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from telemetry.csv_file import write_csv
-from telemetry.errors import RecordingError
-from telemetry.formats.files import raw_tables, unknown_suffix
-from telemetry.recording import Recording
-from telemetry.tables.mapping import NOTHING, Said
-from telemetry.tables.read import recordings
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.csv_file import write_csv
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.files import raw_tables, unknown_suffix
+from upright.telemetry.recording import Recording
+from upright.telemetry.tables.mapping import NOTHING, Said
+from upright.telemetry.tables.read import recordings
+from upright.telemetry.tables.wanted import Wanted
 
 SUFFIXES = (".arrow", ".parquet", ".csv")
 """What is written."""
@@ -59,11 +59,11 @@ def save(recording: Recording, path: Path | str) -> None:
     path = Path(path)
     match path.suffix:
         case ".arrow":
-            from telemetry.arrow_file import write_arrow
+            from upright.telemetry.arrow_file import write_arrow
 
             write_arrow(recording, path)
         case ".parquet":
-            from telemetry.arrow_file import write_parquet
+            from upright.telemetry.arrow_file import write_parquet
 
             write_parquet(recording, path)
         case ".csv":

@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pkgutil import iter_modules
 from types import ModuleType
 
-FOLDER = "vehicles"
+FOLDER = "upright.vehicles"
 
 
 @cache

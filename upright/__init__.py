@@ -6,8 +6,8 @@
     print(upright.diagnose(recording, model="pendulum.toml"))
 
 What `__all__` names is stable, by semantic versioning: it changes with the major version alone, and before 1.0 with the
-minor one. The packages below (`upright.layers` says which) may change at any time. `import upright` imports nothing
-else: each name is imported on its first use.
+minor one. All packages of upright but this one may change at any time. `import upright` imports nothing else: each name
+is imported on its first use.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from upright.comparison import Comparison, compare
-    from upright.diagnosis import Diagnosis, Finding, diagnose
-    from upright.estimates import Value
-    from upright.identification import Identification, identify
-    from upright.layers.effects import Effect, EffectParameter, EffectState, Family, Place, Role, UprightError
-    from upright.model import Model
-    from upright.recording import Recording, RecordingWarning, load
+    from upright.library.comparison import Comparison, compare
+    from upright.library.diagnosis import Diagnosis, Finding, diagnose
+    from upright.library.estimates import Value
+    from upright.library.identification import Identification, identify
+    from upright.library.layers.effects import Effect, EffectParameter, EffectState, Family, Place, Role, UprightError
+    from upright.library.model import Model
+    from upright.library.recording import Recording, RecordingWarning, load
 
     __version__: str
 
@@ -50,13 +50,21 @@ __all__ = [
 ]
 
 _HOMES = {
-    "upright.comparison": ("Comparison", "compare"),
-    "upright.diagnosis": ("Diagnosis", "Finding", "diagnose"),
-    "upright.estimates": ("Value",),
-    "upright.identification": ("Identification", "identify"),
-    "upright.layers.effects": ("Effect", "EffectParameter", "EffectState", "Family", "Place", "Role", "UprightError"),
-    "upright.model": ("Model",),
-    "upright.recording": ("Recording", "RecordingWarning", "load"),
+    "upright.library.comparison": ("Comparison", "compare"),
+    "upright.library.diagnosis": ("Diagnosis", "Finding", "diagnose"),
+    "upright.library.estimates": ("Value",),
+    "upright.library.identification": ("Identification", "identify"),
+    "upright.library.layers.effects": (
+        "Effect",
+        "EffectParameter",
+        "EffectState",
+        "Family",
+        "Place",
+        "Role",
+        "UprightError",
+    ),
+    "upright.library.model": ("Model",),
+    "upright.library.recording": ("Recording", "RecordingWarning", "load"),
 }
 
 

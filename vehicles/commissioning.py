@@ -16,7 +16,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 FILE = "commissioning.toml"
 Id = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -237,7 +237,7 @@ def _carried_out(entry: Entry | None) -> dict[str, Any]:
 @cache
 def steps_of(kind: str) -> Steps:
     """The steps of a kind of vehicle. Raises CommissioningError if it has none, or if they cannot be used."""
-    place = files(f"vehicles.{kind}").joinpath(FILE)
+    place = files(f"upright.vehicles.{kind}").joinpath(FILE)
     if not place.is_file():
         raise CommissioningError(
             f"there are no steps for a {kind}.",

@@ -17,25 +17,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from drivers.cia402.states import State
-from drivers.vehicle_io import VehicleIo
-from estimators.roll_filter import RollState
-from telemetry.channels import ChannelTable
-from telemetry.samples import Vector3
-from vehicles.bounds import Bound
-from vehicles.excitation import Excitation
-from vehicles.sections import VehicleFile
-from vehicles.views import Views
+from upright.drivers.cia402.states import State
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.roll_filter import RollState
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Vector3
+from upright.vehicles.bounds import Bound
+from upright.vehicles.excitation import Excitation
+from upright.vehicles.sections import VehicleFile
+from upright.vehicles.views import Views
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.closed_loop import Experiment
-    from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.identify.subject import OwnMethods
-    from models.control_robustness import CheckedDesign, Known
-    from models.model import Model
-    from simulation.config import Truth
-    from telemetry.recording import Recording
-    from vehicles.commissioning import Number
+    from upright.diagnosis.prediction.closed_loop import Experiment
+    from upright.diagnosis.prediction.closed_loop_error import Loop
+    from upright.estimators.identify.subject import OwnMethods
+    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.models.model import Model
+    from upright.simulation.config import Truth
+    from upright.telemetry.recording import Recording
+    from upright.vehicles.commissioning import Number
 
     Measure = Callable[[Any, Sequence[Recording]], Mapping[str, Number]]
     """An evaluation of a step of a commissioning: a vehicle file and recordings give numbers by name."""

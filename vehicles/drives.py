@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.cia402.config import DriveConfig, find_eds
-from vehicles.sections import DriveSection, VehicleFile
+from upright.drivers.cia402.config import DriveConfig, find_eds
+from upright.vehicles.sections import DriveSection, VehicleFile
 
 
 def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:

@@ -26,8 +26,8 @@ from math import cos, expm1, log, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.errors import UprightError
-from vehicles.sections import ExperimentSection, is_reference
+from upright.telemetry.errors import UprightError
+from upright.vehicles.sections import ExperimentSection, is_reference
 
 LONGEST_RAMP = 1.0
 """s over which a signal is faded in and out, or a tenth of its duration if that is shorter."""

@@ -18,10 +18,10 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from telemetry.documents import from_toml
-from telemetry.errors import UprightError
-from vehicles import registry
-from vehicles.sections import DriveSection, ExperimentSection, VehicleFile
+from upright.telemetry.documents import from_toml
+from upright.telemetry.errors import UprightError
+from upright.vehicles import registry
+from upright.vehicles.sections import DriveSection, ExperimentSection, VehicleFile
 
 __all__ = ["DriveSection", "ExperimentSection", "VehicleFile", "VehicleFileError", "load", "schema", "shipped"]
 
@@ -46,7 +46,7 @@ def shipped() -> list[str]:
 
 def shipped_file(name: str) -> Path:
     """The vehicle file that ships with upright under this name."""
-    return Path(str(resources.files("vehicles") / name / "vehicle.toml"))
+    return Path(str(resources.files("upright.vehicles") / name / "vehicle.toml"))
 
 
 def load(name_or_path: str) -> VehicleFile:

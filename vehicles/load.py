@@ -12,14 +12,14 @@ from dataclasses import replace
 import numpy as np
 from pydantic import ValidationError
 
-from models.effect import Role
-from models.effects.bias import TORQUE_STEP
-from models.model import Model
-from telemetry.documents import from_json
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from vehicles.phases import Phase
-from vehicles.sections import LoadSection
+from upright.models.effect import Role
+from upright.models.effects.bias import TORQUE_STEP
+from upright.models.model import Model
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.vehicles.phases import Phase
+from upright.vehicles.sections import LoadSection
 
 LOAD = replace(
     TORQUE_STEP,

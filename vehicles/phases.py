@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from telemetry.channels import IDLE
+from upright.telemetry.channels import IDLE
 
 
 class Phase(IntEnum):

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from telemetry.documents import from_json
-from telemetry.recording import Recording
-from vehicles.load import load_of
-from vehicles.phases import Phase
+from upright.telemetry.documents import from_json
+from upright.telemetry.recording import Recording
+from upright.vehicles.load import load_of
+from upright.vehicles.phases import Phase
 
 DRIVEN = ("drive_age", "excitation", "phase")
 """Channels without which the loop cannot be reconstructed."""

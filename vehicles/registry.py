@@ -12,17 +12,17 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from drivers.vehicle_io import VehicleIo
-from models.model import Model
-from telemetry.channels import ChannelTable
-from telemetry.errors import UprightError
-from telemetry.vehicle_modules import kinds_with
-from vehicles.contract import Kind, Models, VehicleKind
-from vehicles.sections import VehicleFile
+from upright.drivers.vehicle_io import VehicleIo
+from upright.models.model import Model
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.errors import UprightError
+from upright.telemetry.vehicle_modules import kinds_with
+from upright.vehicles.contract import Kind, Models, VehicleKind
+from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.closed_loop_error import Loop
-    from telemetry.recording import Recording
+    from upright.diagnosis.prediction.closed_loop_error import Loop
+    from upright.telemetry.recording import Recording
 
 
 class UnknownKindError(UprightError):
@@ -43,7 +43,7 @@ def of(name: str) -> VehicleKind:
     """The kind with this name. Raises UnknownKindError."""
     if name not in names():
         raise UnknownKindError(name)
-    found = import_module(f"vehicles.{name}.vehicle").KIND
+    found = import_module(f"upright.vehicles.{name}.vehicle").KIND
     assert isinstance(found, VehicleKind)
     return found
 
@@ -65,7 +65,7 @@ def nominal_model(kind: str) -> Model:
 
 def models_of(vehicle: VehicleFile) -> Models:
     """The models of a vehicle, each with the values of its file."""
-    from estimators.identify.run import with_values
+    from upright.estimators.identify.run import with_values
 
     known, found = vehicle.parameters, of(vehicle.vehicle.kind).models()
     nominal, *actuators = (
@@ -80,7 +80,7 @@ def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:
     The free run of a model needs this loop to be comparable with a recording of an unstable vehicle. The controller is
     that of the vehicle file, designed for the parameters in the recording's metadata.
     """
-    from vehicles.recorded import designed_for
+    from upright.vehicles.recorded import designed_for
 
     with suppress(ValueError):  # values that this vehicle cannot have: then its controller is not this one
         vehicle = vehicle.with_values(designed_for(recording))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import copysign, degrees
 
-from vehicles.contract import Lean
+from upright.vehicles.contract import Lean
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from drivers import can_ids
+from upright.drivers import can_ids
 
 IMU_RATES = (50, 100, 200, 250, 500)
 """Stream rates that are fast enough to balance on, Hz: those of the LPMS-IG1, and the 200 Hz of others."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.fits.refit import (
+from upright.diagnosis.fits.refit import (
     CREEPING,
     FURTHER_FITS,
     FullFit,
@@ -31,18 +31,18 @@ from diagnosis.fits.refit import (
     off_prior,
     with_effect,
 )
-from diagnosis.prediction.ahead import errors
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.whitened import BLOCK
-from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import FAILURES
-from estimators.budget import OutOfTime
-from estimators.data.time_scale import horizon, time_scale
-from estimators.fit.maximum_likelihood import Begin, fit
-from models.attach import starts
-from models.model import Model
-from models.parts import Place
+from upright.diagnosis.prediction.ahead import errors
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.prepare.workspace import Workspace, attached
+from upright.diagnosis.score.whitened import BLOCK
+from upright.diagnosis.side_by_side import side_by_side
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.budget import OutOfTime
+from upright.estimators.data.time_scale import horizon, time_scale
+from upright.estimators.fit.maximum_likelihood import Begin, fit
+from upright.models.attach import starts
+from upright.models.model import Model
+from upright.models.parts import Place
 
 Array = NDArray[np.float64]
 

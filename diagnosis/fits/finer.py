@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from diagnosis.evidence import likelier
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, with_effect
-from diagnosis.prepare.candidates import candidate_of
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import tried
-from estimators.budget import OutOfTime
-from models.effect import AttachedEffect
-from models.model import Model
+from upright.diagnosis.evidence import likelier
+from upright.diagnosis.fits.refit import FURTHER_FITS, FullFit, full, with_effect
+from upright.diagnosis.prepare.candidates import candidate_of
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.side_by_side import side_by_side
+from upright.diagnosis.trial import tried
+from upright.estimators.budget import OutOfTime
+from upright.models.effect import AttachedEffect
+from upright.models.model import Model
 
 
 def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:

@@ -8,14 +8,14 @@ one number at each joint.
 
 from __future__ import annotations
 
-from diagnosis.evidence import LEVEL
-from diagnosis.lack_of_fit.floor import Innovations, floor
-from diagnosis.lack_of_fit.force_probe import probe
-from diagnosis.lack_of_fit.shapes import Design
-from diagnosis.score.whitened import Whitened
-from estimators.fit.input_noise import input_noise, rough
-from estimators.fit.maximum_likelihood import Fit
-from models.random.input_noise import InputNoise, noisy_inputs
+from upright.diagnosis.evidence import LEVEL
+from upright.diagnosis.lack_of_fit.floor import Innovations, floor
+from upright.diagnosis.lack_of_fit.force_probe import probe
+from upright.diagnosis.lack_of_fit.shapes import Design
+from upright.diagnosis.score.whitened import Whitened
+from upright.estimators.fit.input_noise import input_noise, rough
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.models.random.input_noise import InputNoise, noisy_inputs
 
 
 def not_acting(fitted: Fit) -> list[InputNoise]:

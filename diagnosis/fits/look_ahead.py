@@ -22,9 +22,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.data.white_noise import differences
-from estimators.fit.maximum_likelihood import Fit
-from models.parts import Hold
+from upright.estimators.data.white_noise import differences
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.models.parts import Hold
 
 Array = NDArray[np.float64]
 

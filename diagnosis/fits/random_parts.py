@@ -21,20 +21,20 @@ from functools import partial
 
 import numpy as np
 
-from diagnosis.fits.input_noise import not_acting
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, as_evident, full
-from diagnosis.lack_of_fit.colour import Signal, same, signals
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import tried
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit
-from estimators.fit.problem import Problem
-from models.model import Model
-from models.parts import NarrowBand
-from models.random.disturbance import narrow_at_joints, power_share, with_narrow_band
-from models.random.input_noise import InputNoise, with_input_noise
-from models.random.sensor_error import at_outputs, with_error
+from upright.diagnosis.fits.input_noise import not_acting
+from upright.diagnosis.fits.refit import FURTHER_FITS, FullFit, as_evident, full
+from upright.diagnosis.lack_of_fit.colour import Signal, same, signals
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.side_by_side import side_by_side
+from upright.diagnosis.trial import tried
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit
+from upright.estimators.fit.problem import Problem
+from upright.models.model import Model
+from upright.models.parts import NarrowBand
+from upright.models.random.disturbance import narrow_at_joints, power_share, with_narrow_band
+from upright.models.random.input_noise import InputNoise, with_input_noise
+from upright.models.random.sensor_error import at_outputs, with_error
 
 RANDOM = "random parts beside the disturbance"
 """Name of the random parts in `untried` if no time is left for them."""

@@ -16,19 +16,19 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import Score
-from diagnosis.score.whitened import whitening
-from estimators.budget import UNLIMITED
-from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
-from estimators.fit.maximum_likelihood import CREEPING as CREEPING
-from estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit, fit
-from estimators.fit.result import inverse
-from models.model import Model
-from models.parts import Parameter, Place
-from models.random.sensor_error import random_count
-from models.sensing import delayed
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.score_test import Score
+from upright.diagnosis.score.whitened import whitening
+from upright.estimators.budget import UNLIMITED
+from upright.estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
+from upright.estimators.fit.maximum_likelihood import CREEPING as CREEPING
+from upright.estimators.fit.maximum_likelihood import ENOUGH, Begin, Fit, fit
+from upright.estimators.fit.result import inverse
+from upright.models.model import Model
+from upright.models.parts import Parameter, Place
+from upright.models.random.sensor_error import random_count
+from upright.models.sensing import delayed
 
 Array = NDArray[np.float64]
 

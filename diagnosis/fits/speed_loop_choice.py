@@ -13,18 +13,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from diagnosis.evidence import likelier
-from diagnosis.fits import confounded
-from diagnosis.fits.confounded import speed_loop_lag
-from diagnosis.fits.refit import FullFit, full
-from diagnosis.lack_of_fit.floor import sensor_noise
-from diagnosis.prepare.actuator_samples import middle
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.trial import FAILURES
-from models.effect import Effect
-from models.model import Model
-from models.natural_time import USUAL, natural_time
-from telemetry.recording import Recording
+from upright.diagnosis.evidence import likelier
+from upright.diagnosis.fits import confounded
+from upright.diagnosis.fits.confounded import speed_loop_lag
+from upright.diagnosis.fits.refit import FullFit, full
+from upright.diagnosis.lack_of_fit.floor import sensor_noise
+from upright.diagnosis.prepare.actuator_samples import middle
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.trial import FAILURES
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.models.natural_time import USUAL, natural_time
+from upright.telemetry.recording import Recording
 
 LOOKED_AT = 20.0
 """Natural times (models.natural_time; 8 s of the MONOCAB) of a record from which the speed loop is chosen."""

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence import SIGNIFICANT
-from diagnosis.lack_of_fit.floor import Innovations, floor, innovations, shaken_as
-from diagnosis.lack_of_fit.force_probe import probe
-from diagnosis.lack_of_fit.shapes import Shape, shapes
-from diagnosis.lack_of_fit.where_it_fails import Views, summary, views
-from diagnosis.trial import FAILURES
-from estimators.fit.maximum_likelihood import Fit
+from upright.diagnosis.evidence import SIGNIFICANT
+from upright.diagnosis.lack_of_fit.floor import Innovations, floor, innovations, shaken_as
+from upright.diagnosis.lack_of_fit.force_probe import probe
+from upright.diagnosis.lack_of_fit.shapes import Shape, shapes
+from upright.diagnosis.lack_of_fit.where_it_fails import Views, summary, views
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.fit.maximum_likelihood import Fit
 
 Array = NDArray[np.float64]
 

@@ -24,16 +24,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from diagnosis.lack_of_fit.floor import sensor_noise
-from diagnosis.lack_of_fit.reach import reach
-from diagnosis.lack_of_fit.where_it_fails import LEVEL
-from diagnosis.score.whitened import PEAKS, SLOWEST, whitening
-from estimators.data.time_scale import time_scale
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import Fit
-from models.random.disturbance import at_joints, narrow_at_joints
-from models.random.part import LEAST_ROWS, LEAST_TIMES, PERIODS
-from models.random.sensor_error import at_outputs
+from upright.diagnosis.lack_of_fit.floor import sensor_noise
+from upright.diagnosis.lack_of_fit.reach import reach
+from upright.diagnosis.lack_of_fit.where_it_fails import LEVEL
+from upright.diagnosis.score.whitened import PEAKS, SLOWEST, whitening
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.models.random.disturbance import at_joints, narrow_at_joints
+from upright.models.random.part import LEAST_ROWS, LEAST_TIMES, PERIODS
+from upright.models.random.sensor_error import at_outputs
 
 Array = NDArray[np.float64]
 

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
-from estimators.data.segments import SHORTEST
-from estimators.data.time_scale import time_scale
-from estimators.fit.maximum_likelihood import Fit
-from models.random.disturbance import at_joints
+from upright.estimators.data.segments import SHORTEST
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.models.random.disturbance import at_joints
 
 Array = NDArray[np.float64]
 

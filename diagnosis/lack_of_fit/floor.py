@@ -20,18 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from diagnosis.lack_of_fit.process_noise import density, shown_shares
-from diagnosis.lack_of_fit.reach import power_beyond, reach
-from estimators.contract import EstimationError
-from estimators.data.white_noise import white_variance
-from estimators.fit.disturbance import stated
-from estimators.fit.gauss_newton import Block, minimise
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.problem import Problem
-from estimators.fit.stationary import stationary
-from models.parts import State
-from models.random.disturbance import parameters_of
+from upright.diagnosis.lack_of_fit.process_noise import density, shown_shares
+from upright.diagnosis.lack_of_fit.reach import power_beyond, reach
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.white_noise import white_variance
+from upright.estimators.fit.disturbance import stated
+from upright.estimators.fit.gauss_newton import Block, minimise
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.stationary import stationary
+from upright.models.parts import State
+from upright.models.random.disturbance import parameters_of
 
 Array = NDArray[np.float64]
 

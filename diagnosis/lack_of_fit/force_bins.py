@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from scipy.stats import t as student
 
-from diagnosis.lack_of_fit.floor import Innovations
-from diagnosis.lack_of_fit.force_probe import Coordinate, Probe
-from estimators.data.time_scale import time_scale
-from estimators.data.white_noise import white_variance
-from estimators.fit.gauss_newton import Block, eliminate
+from upright.diagnosis.lack_of_fit.floor import Innovations
+from upright.diagnosis.lack_of_fit.force_probe import Coordinate, Probe
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.data.white_noise import white_variance
+from upright.estimators.fit.gauss_newton import Block, eliminate
 
 Array = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.floor import Floor, Innovations
-from estimators.fit.problem import typical_motion
-from models.compiler.kernel import Kernel, Progress, compile_model
-from models.expressions import names_in
-from models.model import Model
-from models.parts import Hold, Input, Joint, Output
-from models.segment import Segment
+from upright.diagnosis.lack_of_fit.floor import Floor, Innovations
+from upright.estimators.fit.problem import typical_motion
+from upright.models.compiler.kernel import Kernel, Progress, compile_model
+from upright.models.expressions import names_in
+from upright.models.model import Model
+from upright.models.parts import Hold, Input, Joint, Output
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

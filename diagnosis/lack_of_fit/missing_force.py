@@ -20,11 +20,11 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2
 
-from diagnosis.lack_of_fit.floor import Innovations
-from diagnosis.lack_of_fit.force_probe import Probe, Response, recurrence
-from estimators.contract import EstimationError
-from estimators.fit.gauss_newton import Block, eliminate
-from estimators.fit.stationary import stationary
+from upright.diagnosis.lack_of_fit.floor import Innovations
+from upright.diagnosis.lack_of_fit.force_probe import Probe, Response, recurrence
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.gauss_newton import Block, eliminate
+from upright.estimators.fit.stationary import stationary
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.data.time_scale import time_scale
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.problem import Problem
-from models.expressions import names_in, number
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.problem import Problem
+from upright.models.expressions import names_in, number
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from scipy.stats import chi2
 
-from diagnosis.lack_of_fit.floor import Innovations
-from diagnosis.lack_of_fit.force_probe import Probe, recurrence
-from diagnosis.score.whitened import Whitened, project, whitening
-from estimators.data.time_scale import time_scale
+from upright.diagnosis.lack_of_fit.floor import Innovations
+from upright.diagnosis.lack_of_fit.force_probe import Probe, recurrence
+from upright.diagnosis.score.whitened import Whitened, project, whitening
+from upright.estimators.data.time_scale import time_scale
 
 Array = NDArray[np.float64]
 

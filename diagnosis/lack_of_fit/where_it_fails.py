@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, false_discovery_control
 from scipy.stats import f as fisher
 
-from diagnosis.lack_of_fit.floor import Innovations
-from diagnosis.lack_of_fit.force_bins import Binned, Term, binned_forces, mean_forces
-from diagnosis.lack_of_fit.force_probe import probe
-from diagnosis.lack_of_fit.missing_force import MissingForce, missing_force
-from estimators.data.time_scale import time_scale
-from models.compiler.kernel import Progress
+from upright.diagnosis.lack_of_fit.floor import Innovations
+from upright.diagnosis.lack_of_fit.force_bins import Binned, Term, binned_forces, mean_forces
+from upright.diagnosis.lack_of_fit.force_probe import probe
+from upright.diagnosis.lack_of_fit.missing_force import MissingForce, missing_force
+from upright.estimators.data.time_scale import time_scale
+from upright.models.compiler.kernel import Progress
 
 Array = NDArray[np.float64]
 Entry = dict[str, Any]

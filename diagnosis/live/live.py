@@ -21,29 +21,29 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.live.line import LONGEST, LineFinder
-from diagnosis.live.naming import TOO_LITTLE, Gathered, LiveResult
-from diagnosis.prepare.candidates import Candidate, candidates_for
-from diagnosis.prepare.workspace import attached
-from estimators.fit.problem import FINEST as STEP
-from estimators.fit.problem import Problem
-from estimators.fit.problem import at_rest as moment_at_rest
-from estimators.recursive.frame_chunks import Chunk, join
-from estimators.recursive.prediction_error import (
+from upright.diagnosis.live.line import LONGEST, LineFinder
+from upright.diagnosis.live.naming import TOO_LITTLE, Gathered, LiveResult
+from upright.diagnosis.prepare.candidates import Candidate, candidates_for
+from upright.diagnosis.prepare.workspace import attached
+from upright.estimators.fit.problem import FINEST as STEP
+from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.problem import at_rest as moment_at_rest
+from upright.estimators.recursive.frame_chunks import Chunk, join
+from upright.estimators.recursive.prediction_error import (
     CHUNK,
     RecursivePredictionError,
     at_rest,
     known_as,
     with_recursive_disturbances,
 )
-from estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
-from models.compiler.kernel import Kernel, Memory, Progress, compile_model
-from models.effect import Effect, Role
-from models.effects.catalogue import CATALOGUE, find
-from models.model import Model
-from models.parts import ModelError
-from telemetry.channels import ChannelTable
-from telemetry.samples import Frame
+from upright.estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
+from upright.models.compiler.kernel import Kernel, Memory, Progress, compile_model
+from upright.models.effect import Effect, Role
+from upright.models.effects.catalogue import CATALOGUE, find
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Frame
 
 Array = NDArray[np.float64]
 

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.gates import confusable
-from diagnosis.live.odds import Weighed, weigh
-from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
-from diagnosis.live.products import Products
-from diagnosis.prepare.candidates import Candidate
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.problem import Problem
-from estimators.numbers import significant
-from estimators.recursive.predictor import Seen
-from models.effect import AttachedEffect, Effect
-from models.effects.catalogue import CATALOGUE, find
-from models.parts import Parameter
+from upright.diagnosis.gates import confusable
+from upright.diagnosis.live.odds import Weighed, weigh
+from upright.diagnosis.live.onset import BEGINNING, Amplitudes, Onset
+from upright.diagnosis.live.products import Products
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.fit.problem import Problem
+from upright.estimators.numbers import significant
+from upright.estimators.recursive.predictor import Seen
+from upright.models.effect import AttachedEffect, Effect
+from upright.models.effects.catalogue import CATALOGUE, find
+from upright.models.parts import Parameter
 
 Array = NDArray[np.float64]
 

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence import STRONG
-from diagnosis.live.onset import BEGINNING, LEAST, Amplitudes, Fitted, Onset, examine, with_known
-from diagnosis.live.products import Products
+from upright.diagnosis.evidence import STRONG
+from upright.diagnosis.live.onset import BEGINNING, LEAST, Amplitudes, Fitted, Onset, examine, with_known
+from upright.diagnosis.live.products import Products
 
 Array = NDArray[np.float64]
 

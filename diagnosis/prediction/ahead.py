@@ -26,16 +26,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.floor import floor, sensor_noise
-from estimators.data.time_scale import time_scale
-from estimators.fit.disturbance import densities
-from estimators.fit.gauss_newton import Block, Minimum, minimise
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import ENOUGH, Fit
-from estimators.fit.problem import Problem
-from estimators.fit.stationary import stationary
-from models.compiler.kernel import Memory
-from models.segment import Segment
+from upright.diagnosis.lack_of_fit.floor import floor, sensor_noise
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.disturbance import densities
+from upright.estimators.fit.gauss_newton import Block, Minimum, minimise
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.maximum_likelihood import ENOUGH, Fit
+from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.stationary import stationary
+from upright.models.compiler.kernel import Memory
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

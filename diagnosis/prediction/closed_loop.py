@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.problem import Problem, problem
-from models.compiler.kernel import Memory
-from models.model import Model
-from models.parts import Hold
-from models.segment import Segment
+from upright.estimators.fit.problem import Problem, problem
+from upright.models.compiler.kernel import Memory
+from upright.models.model import Model
+from upright.models.parts import Hold
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.floor import QUIETEST, Innovations
-from diagnosis.prediction.closed_loop import Controller, Limit, steps
-from diagnosis.prediction.response import Band, responses
-from estimators.data.time_scale import time_scale
-from estimators.data.white_noise import white_variance
-from models.compiler.kernel import Memory
-from models.segment import Segment
+from upright.diagnosis.lack_of_fit.floor import QUIETEST, Innovations
+from upright.diagnosis.prediction.closed_loop import Controller, Limit, steps
+from upright.diagnosis.prediction.response import Band, responses
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.data.white_noise import white_variance
+from upright.models.compiler.kernel import Memory
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

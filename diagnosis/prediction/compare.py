@@ -15,22 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.lack_of_fit.floor import OFFSET, Innovations, nuisances, shaken_as, with_nuisances
-from diagnosis.lack_of_fit.where_it_fails import Entry, Views, summary, views
-from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
-from diagnosis.prediction.horizons import Prediction, predictions
-from diagnosis.prepare.ready import ready
-from diagnosis.trial import FAILURES
-from estimators.data.segments import channels_of, segments
-from estimators.data.time_scale import horizon
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.disturbance import disturbances, is_of_disturbance
-from estimators.fit.maximum_likelihood import Fit, fit
-from estimators.fit.problem import Problem, problem
-from models.compiler.kernel import Progress
-from models.model import Model
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.diagnosis.lack_of_fit.floor import OFFSET, Innovations, nuisances, shaken_as, with_nuisances
+from upright.diagnosis.lack_of_fit.where_it_fails import Entry, Views, summary, views
+from upright.diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
+from upright.diagnosis.prediction.horizons import Prediction, predictions
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.data.segments import channels_of, segments
+from upright.estimators.data.time_scale import horizon
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.fit.disturbance import disturbances, is_of_disturbance
+from upright.estimators.fit.maximum_likelihood import Fit, fit
+from upright.estimators.fit.problem import Problem, problem
+from upright.models.compiler.kernel import Progress
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 DOUBTFUL = 2.0
 """Deviation of a time offset from its prior, in standard deviations, beyond which it is reported as doubtful."""

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.floor import Innovations
-from estimators.data.time_scale import time_scale
-from models.natural_time import rounded
+from upright.diagnosis.lack_of_fit.floor import Innovations
+from upright.estimators.data.time_scale import time_scale
+from upright.models.natural_time import rounded
 
 Array = NDArray[np.float64]
 

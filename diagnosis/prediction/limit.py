@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from diagnosis.prediction.ahead import sensor_floors
-from estimators.contract import EstimationError
-from estimators.data.time_scale import horizon
-from estimators.fit.maximum_likelihood import Fit
+from upright.diagnosis.prediction.ahead import sensor_floors
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.time_scale import horizon
+from upright.estimators.fit.maximum_likelihood import Fit
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.lack_of_fit.floor import Innovations, floor, innovations, shaken_as
-from diagnosis.prediction.ahead import errors, sensor_floors
-from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
-from diagnosis.trial import FAILURES
-from estimators.contract import EstimationError
-from estimators.data.time_scale import horizon
-from estimators.fit.maximum_likelihood import Fit
+from upright.diagnosis.lack_of_fit.floor import Innovations, floor, innovations, shaken_as
+from upright.diagnosis.prediction.ahead import errors, sensor_floors
+from upright.diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.time_scale import horizon
+from upright.estimators.fit.maximum_likelihood import Fit
 
 DRAWS = 1
 """Draws of the noise in the loop: one is enough to weigh the error of one channel against that of another."""

@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.data.segments import SUPPORT_MARGIN, channels_of, recorded_support
-from models.model import Model
-from models.natural_time import USUAL, natural_time
-from models.parts import Place
-from telemetry.recording import Recording
+from upright.estimators.data.segments import SUPPORT_MARGIN, channels_of, recorded_support
+from upright.models.model import Model
+from upright.models.natural_time import USUAL, natural_time
+from upright.models.parts import Place
+from upright.telemetry.recording import Recording
 
 AGE = "drive_age"
 SETPOINT_AGE = "setpoint_age"

@@ -11,14 +11,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from estimators.data.segments import channels_of, optional_channels
-from models.attach import places_for, starts
-from models.effect import AttachedEffect, Effect, Role
-from models.effects.catalogue import CATALOGUE, find
-from models.model import Model
-from models.parts import ModelError
-from models.sensing import is_learned_bias
-from telemetry.recording import Recording
+from upright.estimators.data.segments import channels_of, optional_channels
+from upright.models.attach import places_for, starts
+from upright.models.effect import AttachedEffect, Effect, Role
+from upright.models.effects.catalogue import CATALOGUE, find
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.models.sensing import is_learned_bias
+from upright.telemetry.recording import Recording
 
 MOST_VARIANTS = 24
 """Variants of one effect, at most."""

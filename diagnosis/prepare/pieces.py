@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from models.model import Model
-from telemetry.recording import Recording
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Pieces = tuple[tuple[float, float], ...]
 """s of a recording, from and to."""

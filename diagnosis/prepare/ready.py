@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diagnosis.prepare.time_offsets import timed, untimed
-from estimators.data.as_recorded import as_recorded
-from models.model import Model
-from models.random.disturbance import disturbed, undisturbed
-from models.random.input_noise import without_input_noise
-from telemetry.recording import Recording
+from upright.diagnosis.prepare.time_offsets import timed, untimed
+from upright.estimators.data.as_recorded import as_recorded
+from upright.models.model import Model
+from upright.models.random.disturbance import disturbed, undisturbed
+from upright.models.random.input_noise import without_input_noise
+from upright.telemetry.recording import Recording
 
 
 def ready(model: Model, recordings: Sequence[Recording]) -> Model:

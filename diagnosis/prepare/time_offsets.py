@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.model import Model
-from models.parts import Parameter
-from telemetry.recording import Recording
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.recording import Recording
 
 OFFSET = "input_offset"
 EARLIEST, LATEST = -1.5, 0.5

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Status
-from estimators.data.quantised import step_of
-from estimators.data.segments import DataError, segments
-from estimators.data.time_scale import motion_time, time_scale
-from models.expressions import names_in
-from models.model import Model
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.estimators.contract import Status
+from upright.estimators.data.quantised import step_of
+from upright.estimators.data.segments import DataError, segments
+from upright.estimators.data.time_scale import motion_time, time_scale
+from upright.models.expressions import names_in
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -13,20 +13,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from diagnosis.gates import Round
-from diagnosis.prepare.actuator_samples import of_actuators
-from diagnosis.prepare.candidates import Candidate, candidates_for
-from diagnosis.trial import tried
-from estimators.budget import UNLIMITED, Budget, OutOfTime
-from estimators.data.resting import without_rests
-from estimators.data.segments import segments
-from estimators.data.time_scale import time_scale
-from estimators.fit.problem import Problem, problem
-from models.compiler.kernel import Progress
-from models.effect import Effect
-from models.model import Model
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.diagnosis.gates import Round
+from upright.diagnosis.prepare.actuator_samples import of_actuators
+from upright.diagnosis.prepare.candidates import Candidate, candidates_for
+from upright.diagnosis.trial import tried
+from upright.estimators.budget import UNLIMITED, Budget, OutOfTime
+from upright.estimators.data.resting import without_rests
+from upright.estimators.data.segments import segments
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.problem import Problem, problem
+from upright.models.compiler.kernel import Progress
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Answer = TypeVar("Answer")
 

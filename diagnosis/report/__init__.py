@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from diagnosis.report.comparison_report import write_comparison
-from diagnosis.report.diagnosis_report import write_report
-from diagnosis.report.identification_report import write_identification
-from diagnosis.report.page import Provenance
+from upright.diagnosis.report.comparison_report import write_comparison
+from upright.diagnosis.report.diagnosis_report import write_report
+from upright.diagnosis.report.identification_report import write_identification
+from upright.diagnosis.report.page import Provenance
 
 __all__ = ["Provenance", "write_comparison", "write_identification", "write_report"]

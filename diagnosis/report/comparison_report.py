@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from diagnosis.prediction.compare import Comparison
-from diagnosis.report import tables
-from diagnosis.report.figures.drawing import file_name, shown, units
-from diagnosis.report.page import Figures, Provenance, compared_figures, render
-from diagnosis.report.sentences import disturbance_text
+from upright.diagnosis.prediction.compare import Comparison
+from upright.diagnosis.report import tables
+from upright.diagnosis.report.figures.drawing import file_name, shown, units
+from upright.diagnosis.report.page import Figures, Provenance, compared_figures, render
+from upright.diagnosis.report.sentences import disturbance_text
 
 
 @dataclass(frozen=True, slots=True)

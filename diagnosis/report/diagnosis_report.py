@@ -10,17 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.diagnose import Diagnosis
-from diagnosis.lack_of_fit.adequacy import over_floor
-from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report import tables
-from diagnosis.report.figures.drawing import file_name
-from diagnosis.report.page import Figures, Provenance, compared_figures, render
-from diagnosis.report.sentences import disturbance_sentences, untried_sentence
-from diagnosis.report.words import headline
-from estimators.contract import EstimationError
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.diagnose import Diagnosis
+from upright.diagnosis.lack_of_fit.adequacy import over_floor
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.diagnosis.report import tables
+from upright.diagnosis.report.figures.drawing import file_name
+from upright.diagnosis.report.page import Figures, Provenance, compared_figures, render
+from upright.diagnosis.report.sentences import disturbance_sentences, untried_sentence
+from upright.diagnosis.report.words import headline
+from upright.estimators.contract import EstimationError
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Progress = Callable[[str], None]
 
@@ -93,7 +93,7 @@ def before_and_after(
 
 
 def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) -> Figures:
-    from diagnosis.report.figures import diagnosis as pictures
+    from upright.diagnosis.report.figures import diagnosis as pictures
 
     falling = pictures.staircase(*_stairs(diagnosis)) if diagnosis.steps else ""
     if not comparisons:

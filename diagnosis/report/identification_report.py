@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from diagnosis.prediction.compare import Comparison
-from diagnosis.report.comparison_report import Compared
-from diagnosis.report.figures.drawing import file_name
-from diagnosis.report.page import Provenance, compared_figures, render
-from estimators.contract import EstimationError
-from estimators.identify.document import CANCELLED
-from estimators.identify.rows import (
+from upright.diagnosis.prediction.compare import Comparison
+from upright.diagnosis.report.comparison_report import Compared
+from upright.diagnosis.report.figures.drawing import file_name
+from upright.diagnosis.report.page import Provenance, compared_figures, render
+from upright.estimators.contract import EstimationError
+from upright.estimators.identify.document import CANCELLED
+from upright.estimators.identify.rows import (
     Columns,
     disturbances,
     joint_columns,
@@ -23,7 +23,7 @@ from estimators.identify.rows import (
     shown_parameters,
     value_text,
 )
-from estimators.identify.table import Domain
+from upright.estimators.identify.table import Domain
 
 WIDE, LOW = 10.0, 0.75
 """Least width of the figure, in inches, and the factor by which its height is reduced."""
@@ -105,8 +105,8 @@ def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 def _figure(document: Mapping[str, Any], truth: Mapping[str, float]) -> str:
     """The methods side by side, "" if no method estimates a parameter that has a prior value."""
-    from diagnosis.report.figures.drawing import styled, svg
-    from diagnosis.report.figures.methods import method_figure
+    from upright.diagnosis.report.figures.drawing import styled, svg
+    from upright.diagnosis.report.figures.methods import method_figure
 
     @styled
     def drawn() -> str:

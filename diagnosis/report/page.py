@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from diagnosis.prediction.compare import Comparison
+from upright.diagnosis.prediction.compare import Comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,8 @@ def render(
 
 def compared_figures(comparisons: Sequence[Comparison], name: str = "") -> Figures:
     """The figures of models side by side on the same recordings; `name` distinguishes those of several sets."""
-    from diagnosis.report.figures import diagnosis as pictures
-    from diagnosis.report.figures.loop import closed_loop
+    from upright.diagnosis.report.figures import diagnosis as pictures
+    from upright.diagnosis.report.figures.loop import closed_loop
 
     return Figures(
         overlay=pictures.overlay(comparisons, f"overlay{name}"),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 
-from diagnosis.evidence import LEVEL, SIGNIFICANT
-from diagnosis.revise.result import Neighbour, Revision
+from upright.diagnosis.evidence import LEVEL, SIGNIFICANT
+from upright.diagnosis.revise.result import Neighbour, Revision
 
 MOST_ODDS = 1e4
 WORTH_STATING = 0.05

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from diagnosis.findings import Diagnosis, Finding
-from diagnosis.report.revision_words import readable
-from estimators.disturbance_estimate import DisturbanceEstimate, in_words
+from upright.diagnosis.findings import Diagnosis, Finding
+from upright.diagnosis.report.revision_words import readable
+from upright.estimators.disturbance_estimate import DisturbanceEstimate, in_words
 
 NOTHING_MATTERS = "nothing is missing that matters"
 """Said of a model all of whose findings are negligible."""

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.diagnose import Diagnosis, Finding
-from diagnosis.prediction.compare import Comparison
-from diagnosis.prediction.relevance import percent
-from diagnosis.report.figures.drawing import shown
-from diagnosis.report.sentences import two_digits
-from diagnosis.score.score_test import Score, ScoreTest
-from estimators.contract import ParameterEstimate
-from estimators.fit.disturbance import disturbances
-from estimators.methods.prediction_error import result
-from estimators.numbers import significant
-from telemetry.recording import Recording
+from upright.diagnosis.diagnose import Diagnosis, Finding
+from upright.diagnosis.prediction.compare import Comparison
+from upright.diagnosis.prediction.relevance import percent
+from upright.diagnosis.report.figures.drawing import shown
+from upright.diagnosis.report.sentences import two_digits
+from upright.diagnosis.score.score_test import Score, ScoreTest
+from upright.estimators.contract import ParameterEstimate
+from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.methods.prediction_error import result
+from upright.estimators.numbers import significant
+from upright.telemetry.recording import Recording
 
 HARD_SPACE = "\N{NO-BREAK SPACE}"
 UNKNOWN = "–"

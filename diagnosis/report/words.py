@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.explain import explained_by_none
-from diagnosis.report.sentences import NOTHING_MATTERS, mattering, to_within
-from models.effect import Effect
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
+from upright.diagnosis.explain import explained_by_none
+from upright.diagnosis.report.sentences import NOTHING_MATTERS, mattering, to_within
+from upright.models.effect import Effect
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from math import exp
 from typing import Any
 
-from diagnosis.evidence import is_supported
-from diagnosis.prepare.ready import ready
-from diagnosis.revise.with_and_without import Estimated, alone, training
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.evidence import is_supported
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.revise.with_and_without import Estimated, alone, training
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 
 @dataclass(frozen=True, slots=True)

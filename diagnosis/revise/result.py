@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
-from diagnosis.evidence import ODDS, by_chance, is_supported, likelier
-from estimators.disturbance_estimate import DisturbanceEstimate
-from models.model import Model
+from upright.diagnosis.evidence import ODDS, by_chance, is_supported, likelier
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.models.model import Model
 
 CLEARLY = 3.0
 """Standard errors above which a difference of held-out errors counts."""

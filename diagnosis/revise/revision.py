@@ -19,31 +19,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.floor import floor, innovation_ratio, shaken_as
-from diagnosis.prediction.ahead import errors, on, sensor_floors
-from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, of_actuators
-from diagnosis.prepare.candidates import Candidate, candidate_of
-from diagnosis.prepare.ready import ready, unready
-from diagnosis.revise import with_and_without as fits
-from diagnosis.revise.drop_tests import DropTest as DropTest
-from diagnosis.revise.drop_tests import drop_tests as drop_tests
-from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Revision, Side
-from diagnosis.revise.split import split
-from diagnosis.revise.with_and_without import Estimated
-from estimators.contract import EstimationError
-from estimators.data.resting import without_rests
-from estimators.data.segments import after_settling, channels_of, optional_channels
-from estimators.data.time_scale import time_scale
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.problem import problem
-from estimators.fit.released import released
-from models.effect import Effect
-from models.effects.catalogue import find
-from models.expressions import names_in
-from models.model import Model
-from models.natural_time import rounded
-from models.parts import ModelError
-from telemetry.recording import Recording
+from upright.diagnosis.lack_of_fit.floor import floor, innovation_ratio, shaken_as
+from upright.diagnosis.prediction.ahead import errors, on, sensor_floors
+from upright.diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, of_actuators
+from upright.diagnosis.prepare.candidates import Candidate, candidate_of
+from upright.diagnosis.prepare.ready import ready, unready
+from upright.diagnosis.revise import with_and_without as fits
+from upright.diagnosis.revise.drop_tests import DropTest as DropTest
+from upright.diagnosis.revise.drop_tests import drop_tests as drop_tests
+from upright.diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Revision, Side
+from upright.diagnosis.revise.split import split
+from upright.diagnosis.revise.with_and_without import Estimated
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.resting import without_rests
+from upright.estimators.data.segments import after_settling, channels_of, optional_channels
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.fit.released import released
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import find
+from upright.models.expressions import names_in
+from upright.models.model import Model
+from upright.models.natural_time import rounded
+from upright.models.parts import ModelError
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.prepare.pieces import only
-from estimators.data.segments import segments
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.prepare.pieces import only
+from upright.estimators.data.segments import segments
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 TRAINING = 2.0 / 3.0
 """Share of a recording's usable samples, in time, that is fitted if no recording is held out."""

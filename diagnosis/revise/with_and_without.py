@@ -11,20 +11,20 @@ from functools import partial
 
 import numpy as np
 
-from diagnosis.evidence import likelier
-from diagnosis.fits.finer import finest
-from diagnosis.fits.refit import FullFit, exactly, full, settled, t_ratio
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import each_fitted, look
-from diagnosis.trial import tried
-from estimators.contract import Estimate, EstimationError, Status
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.result import inverse
-from estimators.methods.prediction_error import result
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.evidence import likelier
+from upright.diagnosis.fits.finer import finest
+from upright.diagnosis.fits.refit import FullFit, exactly, full, settled, t_ratio
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.score_test import ScoreTest
+from upright.diagnosis.search.contenders import each_fitted, look
+from upright.diagnosis.trial import tried
+from upright.estimators.contract import Estimate, EstimationError, Status
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.result import inverse
+from upright.estimators.methods.prediction_error import result
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 UNKNOWN = 1e6
 """The largest standard deviation that is reported, in typical sizes, if the record does not determine a parameter."""

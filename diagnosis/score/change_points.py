@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.score.whitened import Whitened
-from estimators.data.time_scale import time_scale
-from estimators.fit.problem import Problem
-from models.effect import Role
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.score.whitened import Whitened
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.problem import Problem
+from upright.models.effect import Role
 
 Array = NDArray[np.float64]
 

@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from diagnosis.prepare.candidates import Candidate, at_frequencies
-from diagnosis.score.change_points import at_instants
-from diagnosis.score.whitened import Whitened, peaks, project
-from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import tried
-from estimators.fit.problem import Problem
-from models.effect import Role
+from upright.diagnosis.prepare.candidates import Candidate, at_frequencies
+from upright.diagnosis.score.change_points import at_instants
+from upright.diagnosis.score.whitened import Whitened, peaks, project
+from upright.diagnosis.side_by_side import side_by_side
+from upright.diagnosis.trial import tried
+from upright.estimators.fit.problem import Problem
+from upright.models.effect import Role
 
 Array = NDArray[np.float64]
 _Pass = tuple[Problem, int, list[Candidate]]

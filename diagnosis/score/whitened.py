@@ -15,12 +15,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.data.time_scale import time_scale
-from estimators.fit.gauss_newton import Block
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.problem import Problem
-from models.segment import Segment
+from upright.estimators.data.time_scale import time_scale
+from upright.estimators.fit.gauss_newton import Block
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.problem import Problem
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ from functools import partial
 
 import numpy as np
 
-from diagnosis.evidence import LEVEL, beyond_chance
-from diagnosis.fits import confounded
-from diagnosis.fits.look_ahead import looks_ahead
-from diagnosis.fits.refit import (
+from upright.diagnosis.evidence import LEVEL, beyond_chance
+from upright.diagnosis.fits import confounded
+from upright.diagnosis.fits.look_ahead import looks_ahead
+from upright.diagnosis.fits.refit import (
     CREEPING,
     FURTHER_FITS,
     FullFit,
@@ -28,20 +28,20 @@ from diagnosis.fits.refit import (
     quick,
     with_effect,
 )
-from diagnosis.gates import confusable
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import Score, ScoreTest, score_test
-from diagnosis.score.whitened import Whitened
-from diagnosis.search.explanation import Progress, no_progress
-from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import tried
-from estimators.fit.disturbance import disturbances, is_of_disturbance
-from estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
-from estimators.fit.problem import Problem
-from models.effect import Effect
-from models.parts import Place
-from models.random.disturbance import with_zero_disturbances
+from upright.diagnosis.gates import confusable
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.prepare.workspace import Workspace, attached
+from upright.diagnosis.score.score_test import Score, ScoreTest, score_test
+from upright.diagnosis.score.whitened import Whitened
+from upright.diagnosis.search.explanation import Progress, no_progress
+from upright.diagnosis.side_by_side import side_by_side
+from upright.diagnosis.trial import tried
+from upright.estimators.fit.disturbance import disturbances, is_of_disturbance
+from upright.estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
+from upright.estimators.fit.problem import Problem
+from upright.models.effect import Effect
+from upright.models.parts import Place
+from upright.models.random.disturbance import with_zero_disturbances
 
 WORTH_A_FIT = LEVEL
 """p-value, of one candidate alone, below which it gets a quick fit."""

@@ -6,10 +6,10 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
 
-from diagnosis.findings import Finding
-from diagnosis.fits.refit import FullFit
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import ScoreTest
+from upright.diagnosis.findings import Finding
+from upright.diagnosis.fits.refit import FullFit
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.score_test import ScoreTest
 
 NOTHING_SCORED = ScoreTest((), {})
 Progress = Callable[[str, float], None]

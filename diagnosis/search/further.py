@@ -17,10 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diagnosis.findings import Finding
-from diagnosis.gates import confusable
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.score.score_test import ScoreTest
+from upright.diagnosis.findings import Finding
+from upright.diagnosis.gates import confusable
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.score.score_test import ScoreTest
 
 LEAST = 0.2
 """Lower limit of r^2. A fit leaves nothing along its own formula, so r alone underestimates what is left. With a

@@ -20,29 +20,29 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence import SIGNIFICANT, is_significant
-from diagnosis.fits.refit import FullFit, off_prior, remembered
-from diagnosis.gates import HeldOut
-from diagnosis.prediction import ahead
-from diagnosis.prepare.pieces import Pieces, hidden, inside
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.whitened import whitening
-from diagnosis.side_by_side import side_by_side
-from diagnosis.trial import FAILURES
-from estimators.contract import Status
-from estimators.data.segments import segments
-from estimators.data.time_scale import horizon, time_scale
-from estimators.fit.disturbance import SHOWN
-from estimators.fit.gauss_newton import Block, eliminate
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.likelihood import Likelihood, Seen
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.problem import Problem, problem
-from estimators.fit.result import inverse
-from estimators.methods.prediction_error import result
-from models.effect import AttachedEffect, Role
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.evidence import SIGNIFICANT, is_significant
+from upright.diagnosis.fits.refit import FullFit, off_prior, remembered
+from upright.diagnosis.gates import HeldOut
+from upright.diagnosis.prediction import ahead
+from upright.diagnosis.prepare.pieces import Pieces, hidden, inside
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.whitened import whitening
+from upright.diagnosis.side_by_side import side_by_side
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.contract import Status
+from upright.estimators.data.segments import segments
+from upright.estimators.data.time_scale import horizon, time_scale
+from upright.estimators.fit.disturbance import SHOWN
+from upright.estimators.fit.gauss_newton import Block, eliminate
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.likelihood import Likelihood, Seen
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.fit.result import inverse
+from upright.estimators.methods.prediction_error import result
+from upright.models.effect import AttachedEffect, Role
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -23,20 +23,20 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
-from diagnosis.evidence import LEVEL, beyond_chance, likelier
-from diagnosis.findings import Finding
-from diagnosis.fits.finer import is_finer
-from diagnosis.fits.refit import FullFit, full, log_ratio, remembered, with_effect
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import flat_at_zero, look
-from diagnosis.search.explanation import Explanation, Search
-from diagnosis.search.further import left_by_formulas
-from diagnosis.search.one_more import Covered, Named, find, may_be_significant, named_alone
-from diagnosis.trial import tried
-from estimators.budget import OutOfTime
-from models.model import Model
+from upright.diagnosis.evidence import LEVEL, beyond_chance, likelier
+from upright.diagnosis.findings import Finding
+from upright.diagnosis.fits.finer import is_finer
+from upright.diagnosis.fits.refit import FullFit, full, log_ratio, remembered, with_effect
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.score_test import ScoreTest
+from upright.diagnosis.search.contenders import flat_at_zero, look
+from upright.diagnosis.search.explanation import Explanation, Search
+from upright.diagnosis.search.further import left_by_formulas
+from upright.diagnosis.search.one_more import Covered, Named, find, may_be_significant, named_alone
+from upright.diagnosis.trial import tried
+from upright.estimators.budget import OutOfTime
+from upright.models.model import Model
 
 PAIRS = 2
 """Pairs that are tried together, at most."""

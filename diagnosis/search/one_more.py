@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.evidence import SIGNIFICANT
-from diagnosis.explain import explain
-from diagnosis.findings import Finding
-from diagnosis.fits.confounded import fits as fits_of_confounded
-from diagnosis.fits.confounded import surprise
-from diagnosis.fits.finer import finest
-from diagnosis.fits.refit import (
+from upright.diagnosis.evidence import SIGNIFICANT
+from upright.diagnosis.explain import explain
+from upright.diagnosis.findings import Finding
+from upright.diagnosis.fits.confounded import fits as fits_of_confounded
+from upright.diagnosis.fits.confounded import surprise
+from upright.diagnosis.fits.finer import finest
+from upright.diagnosis.fits.refit import (
     CREEPING,
     FullFit,
     as_evident,
@@ -29,21 +29,21 @@ from diagnosis.fits.refit import (
     t_ratio,
     with_effect,
 )
-from diagnosis.gates import Round, Tried, confusable, decide, gated, tie
-from diagnosis.prepare.candidates import Candidate
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import WORTH_A_FIT, at_one_noise, contenders
-from diagnosis.search.explanation import Search
-from diagnosis.search.further import left_for
-from diagnosis.search.held_out import held_out
-from diagnosis.trial import tried
-from estimators.contract import ParameterEstimate, Status
-from estimators.fit.disturbance import is_of_disturbance
-from estimators.fit.innovations import WIDEST
-from estimators.fit.maximum_likelihood import Begin, noise_of
-from estimators.fit.result import inverse
-from estimators.methods.prediction_error import result
+from upright.diagnosis.gates import Round, Tried, confusable, decide, gated, tie
+from upright.diagnosis.prepare.candidates import Candidate
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.score_test import ScoreTest
+from upright.diagnosis.search.contenders import WORTH_A_FIT, at_one_noise, contenders
+from upright.diagnosis.search.explanation import Search
+from upright.diagnosis.search.further import left_for
+from upright.diagnosis.search.held_out import held_out
+from upright.diagnosis.trial import tried
+from upright.estimators.contract import ParameterEstimate, Status
+from upright.estimators.fit.disturbance import is_of_disturbance
+from upright.estimators.fit.innovations import WIDEST
+from upright.estimators.fit.maximum_likelihood import Begin, noise_of
+from upright.estimators.fit.result import inverse
+from upright.estimators.methods.prediction_error import result
 
 LATE = 0.7
 """Share of the time then left for fits of effects that the score test does not see."""

@@ -15,17 +15,26 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
-from diagnosis.evidence import beyond_chance, likelier
-from diagnosis.findings import Finding, MadeOf
-from diagnosis.fits.random_parts import RANDOM, absorbed, expected_log_ratio
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, exactly, full, log_ratio, remembered, settled, with_effect
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
-from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
-from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
-from diagnosis.search.one_more import Named, find, may_be_significant, sizes, with_estimates
-from diagnosis.trial import FAILURES, tried
+from upright.diagnosis.evidence import beyond_chance, likelier
+from upright.diagnosis.findings import Finding, MadeOf
+from upright.diagnosis.fits.random_parts import RANDOM, absorbed, expected_log_ratio
+from upright.diagnosis.fits.refit import (
+    FURTHER_FITS,
+    FullFit,
+    exactly,
+    full,
+    log_ratio,
+    remembered,
+    settled,
+    with_effect,
+)
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.score.score_test import ScoreTest
+from upright.diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
+from upright.diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
+from upright.diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
+from upright.diagnosis.search.one_more import Named, find, may_be_significant, sizes, with_estimates
+from upright.diagnosis.trial import FAILURES, tried
 
 HALF = 0.5
 """Share of the time for each of two searches: without a random part that seems to explain most, and with it."""

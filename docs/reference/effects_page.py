@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family
-from models.effects.catalogue import CATALOGUE, families
-from models.expressions import names_in
-from models.file import own_effects as custom
-from models.parts import Place
-from models.place import EVERY_JOINT, SCALES, UNITS, VOCABULARY
+from upright.models.effect import Effect, EffectParameter, Family
+from upright.models.effects.catalogue import CATALOGUE, families
+from upright.models.expressions import names_in
+from upright.models.file import own_effects as custom
+from upright.models.parts import Place
+from upright.models.place import EVERY_JOINT, SCALES, UNITS, VOCABULARY
 
 _INTRODUCTION = """\
 # Effects

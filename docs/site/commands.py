@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from service.cli import app
+from upright.service.cli import app
 
 _HEAD = """\
 # Commands, from `--help`

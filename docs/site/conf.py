@@ -17,7 +17,7 @@ version = release = _version("upright")
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 root_doc = "index"
 nitpicky = True
-nitpick_ignore_regex = [(r"py:.*", r"(?!upright\b).*")]  # other packages, and what is below `upright`, have no pages
+nitpick_ignore_regex = [(r"py:.*", r"(?!upright\.\w+$).*")]  # others, and what is below `upright`, have no pages
 highlight_language = "none"  # a block without a language is an equation, or what a terminal shows
 suppress_warnings = ["misc.highlighting_failure"]  # a shortened document is no JSON
 
@@ -53,7 +53,7 @@ def _public(
     _app: Sphinx, _what: str, _name: str, _of: object, _options: object, takes: str | None, returns: str | None
 ) -> object:
     """A function takes the class of the layer below, of which the library's own is one: the page names that."""
-    return takes and (takes.replace("telemetry.recording.Recording", "upright.Recording"), returns)
+    return takes and (takes.replace("upright.telemetry.recording.Recording", "upright.Recording"), returns)
 
 
 _navigation: dict[int, str] = {}

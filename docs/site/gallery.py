@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pictures import picture
 
-from models.effect import Effect
-from models.effects.catalogue import CATALOGUE, families
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import CATALOGUE, families
 
 _HEAD = """\
 # Effects gallery

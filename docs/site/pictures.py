@@ -16,12 +16,12 @@ import sympy
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from upright.library.diagnosis.report.figures.drawing import AFTER, MEASURED, styled, svg
 
-from diagnosis.report.figures.drawing import AFTER, MEASURED, styled, svg
-from models.effect import Effect
-from models.expressions import names_in, number, parse
-from models.parts import Place
-from models.place import SCALES
+from upright.models.effect import Effect
+from upright.models.expressions import names_in, number, parse
+from upright.models.parts import Place
+from upright.models.place import SCALES
 
 Array = NDArray[np.float64]
 

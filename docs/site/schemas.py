@@ -10,8 +10,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from service.mqtt.topics import schemas
-from vehicles import file
+from upright.service.mqtt.topics import schemas
+from upright.vehicles import file
 
 Schema = Mapping[str, Any]
 _LIMITS = {

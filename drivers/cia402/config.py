@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.cia402 import pdo
-from drivers.cia402.modes import MODES, Mode
-from drivers.cia402.objects import ObjectEntry
-from drivers.cia402.pdo import PdoCodec
-from telemetry.errors import UprightError
+from upright.drivers.cia402 import pdo
+from upright.drivers.cia402.modes import MODES, Mode
+from upright.drivers.cia402.objects import ObjectEntry
+from upright.drivers.cia402.pdo import PdoCodec
+from upright.telemetry.errors import UprightError
 
 SHIPPED_EDS = Path(__file__).resolve().parent.parent / "eds"
 """Folder of the electronic data sheets that ship with upright."""

@@ -15,10 +15,10 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.eds import import_eds
 
-from drivers.cia402.config import DriveConfig, find_eds
-from drivers.cia402.eds_text import DATA_TYPES, UNKNOWN_TYPE, DataSheet, NoDataSheet
-from drivers.cia402.objects import CONTROLWORD, MODE, STATUSWORD, ObjectEntry
-from drivers.cia402.sdo import DriveSetupError, MissingObject, SdoDialogue
+from upright.drivers.cia402.config import DriveConfig, find_eds
+from upright.drivers.cia402.eds_text import DATA_TYPES, UNKNOWN_TYPE, DataSheet, NoDataSheet
+from upright.drivers.cia402.objects import CONTROLWORD, MODE, STATUSWORD, ObjectEntry
+from upright.drivers.cia402.sdo import DriveSetupError, MissingObject, SdoDialogue
 
 TYPE_NAMES = {number: name for name, number in DATA_TYPES.items()}
 SIZES = {0x01: 1, 0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}

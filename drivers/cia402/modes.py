@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from drivers.cia402.objects import ObjectEntry
-from drivers.cia402.states import RAMP_BITS
+from upright.drivers.cia402.objects import ObjectEntry
+from upright.drivers.cia402.states import RAMP_BITS
 
 FINE_UNITS_PER_RPM = 8192
 """Resolution of `target_velocity_fine`."""

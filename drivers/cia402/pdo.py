@@ -9,8 +9,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from drivers.cia402.modes import MODES
-from drivers.cia402.objects import CONTROLWORD, MODE_DISPLAY, STATUSWORD, ObjectEntry
+from upright.drivers.cia402.modes import MODES
+from upright.drivers.cia402.objects import CONTROLWORD, MODE_DISPLAY, STATUSWORD, ObjectEntry
 
 MAX_PDOS = 4
 """PDOs of each direction that have a predefined COB-ID."""

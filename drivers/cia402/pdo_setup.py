@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 from canopen import ObjectDictionary
 
-from drivers.cia402 import pdo
-from drivers.cia402.objects import ObjectEntry
-from drivers.cia402.pdo import PdoCodec
-from drivers.cia402.sdo import DriveSetupError, MissingObject, Refused, SdoDialogue, milliseconds
+from upright.drivers.cia402 import pdo
+from upright.drivers.cia402.objects import ObjectEntry
+from upright.drivers.cia402.pdo import PdoCodec
+from upright.drivers.cia402.sdo import DriveSetupError, MissingObject, Refused, SdoDialogue, milliseconds
 
 INVALID = 1 << 31
 """Bit of a PDO's COB-ID: the PDO is off."""

@@ -14,10 +14,10 @@ from typing import TypeVar
 
 import canopen
 
-from drivers.cia402.config import DriveConfig
-from drivers.cia402.objects import ObjectEntry
-from drivers.cia402.sdo_client import WALL, Clock, PatientClient
-from telemetry.errors import UprightError
+from upright.drivers.cia402.config import DriveConfig
+from upright.drivers.cia402.objects import ObjectEntry
+from upright.drivers.cia402.sdo_client import WALL, Clock, PatientClient
+from upright.telemetry.errors import UprightError
 
 T = TypeVar("T")
 

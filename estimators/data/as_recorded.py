@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.data.quantised import quantisation_noise
-from estimators.data.white_noise import white_variance
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.data.quantised import quantisation_noise
+from upright.estimators.data.white_noise import white_variance
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 SHOWN = 3.0
 """A record contradicts the known noise of a model if it has more than this factor of it."""

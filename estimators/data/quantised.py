@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.recording import Recording
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

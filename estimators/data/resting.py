@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from models.model import Model
-from models.natural_time import USUAL, natural_time
-from telemetry.recording import Recording
+from upright.models.model import Model
+from upright.models.natural_time import USUAL, natural_time
+from upright.telemetry.recording import Recording
 
 REST = 1.0
 """Natural times (models.natural_time) of the same count that mean rest: an oscillating axis has reversed by then."""

@@ -21,17 +21,17 @@ from math import copysign, inf, isfinite, nan
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError, Status
-from models.compiler.curves import read
-from models.expressions import names_in
-from models.model import Model
-from models.natural_time import USUAL, natural_time
-from models.parts import Hold, Input, Output
-from models.segment import Segment
-from models.sensing import filter_inputs
-from telemetry.channels import IDLE
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
+from upright.estimators.contract import EstimationError, Status
+from upright.models.compiler.curves import read
+from upright.models.expressions import names_in
+from upright.models.model import Model
+from upright.models.natural_time import USUAL, natural_time
+from upright.models.parts import Hold, Input, Output
+from upright.models.segment import Segment
+from upright.models.sensing import filter_inputs
+from upright.telemetry.channels import IDLE
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

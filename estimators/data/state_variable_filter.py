@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.contract import EstimationError
+from upright.estimators.contract import EstimationError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

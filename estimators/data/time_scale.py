@@ -20,10 +20,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from models.expressions import names_in
-from models.model import Model
-from models.natural_time import natural_time, rounded
-from models.segment import Segment
+from upright.models.expressions import names_in
+from upright.models.model import Model
+from upright.models.natural_time import natural_time, rounded
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -24,14 +24,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.result import inverse
-from models.model import Model
-from models.parts import Joint
-from models.random.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
-from models.random.part import LEAST_TIMES
+from upright.estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.result import inverse
+from upright.models.model import Model
+from upright.models.parts import Joint
+from upright.models.random.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
+from upright.models.random.part import LEAST_TIMES
 
 Array = NDArray[np.float64]
 

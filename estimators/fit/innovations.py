@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError
-from estimators.fit.problem import Problem, at_rest, linearise, typical_motion
-from estimators.fit.stationary import DOUBLINGS, stationary, stationary_all
-from models.parts import Output, State
-from models.segment import Segment
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.problem import Problem, at_rest, linearise, typical_motion
+from upright.estimators.fit.stationary import DOUBLINGS, stationary, stationary_all
+from upright.models.parts import Output, State
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from estimators.fit.problem import Problem
-from models.random.input_noise import InputNoise
+from upright.estimators.fit.problem import Problem
+from upright.models.random.input_noise import InputNoise
 
 Array = NDArray[np.float64]
 

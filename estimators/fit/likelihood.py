@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.gauss_newton import Expansion, Normal
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.problem import Problem
-from estimators.fit.stationary_start import StationaryStart, stationary_start
-from models.compiler.kernel import ELSEWHERE
+from upright.estimators.fit.gauss_newton import Expansion, Normal
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.stationary_start import StationaryStart, stationary_start
+from upright.models.compiler.kernel import ELSEWHERE
 
 Array = NDArray[np.float64]
 

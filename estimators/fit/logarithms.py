@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.gauss_newton import Minimum, Normal
-from estimators.fit.likelihood import Likelihood, Seen
-from models.parts import Parameter
+from upright.estimators.fit.gauss_newton import Minimum, Normal
+from upright.estimators.fit.likelihood import Likelihood, Seen
+from upright.models.parts import Parameter
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.gauss_newton import Minimum, common_information, descend
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.likelihood import Likelihood, Seen
-from estimators.fit.logarithms import InLogarithms
-from estimators.fit.problem import Problem
-from estimators.fit.result import inverse
-from estimators.fit.stationary_start import stationary_spread
+from upright.estimators.fit.gauss_newton import Minimum, common_information, descend
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.likelihood import Likelihood, Seen
+from upright.estimators.fit.logarithms import InLogarithms
+from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.result import inverse
+from upright.estimators.fit.stationary_start import stationary_spread
 
 Array = NDArray[np.float64]
 

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.budget import UNLIMITED, Budget
-from estimators.contract import EstimationError
-from estimators.data.segments import segments
-from estimators.data.white_noise import white_variance
-from estimators.fit.gauss_newton import Block
-from models import library
-from models.compiler.kernel import Kernel, Progress, Run, compile_model
-from models.expressions import number
-from models.model import Model
-from models.parts import Parameter
-from models.random.disturbance import parameters_of
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.estimators.budget import UNLIMITED, Budget
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.segments import segments
+from upright.estimators.data.white_noise import white_variance
+from upright.estimators.fit.gauss_newton import Block
+from upright.models import library
+from upright.models.compiler.kernel import Kernel, Progress, Run, compile_model
+from upright.models.expressions import number
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.models.random.disturbance import parameters_of
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

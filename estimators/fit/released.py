@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.result import inverse
-from models.model import Model
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.result import inverse
+from upright.models.model import Model
 
 BETTER = 0.5
 """A parameter is released if the data determine it to this share of its prior standard deviation, with all other held

@@ -12,14 +12,14 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.data.segments import DataError
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.gauss_newton import Minimum
-from estimators.fit.problem import Problem
-from models.model import Model
-from models.parts import Parameter
-from models.random.disturbance import parameters_of
+from upright.estimators.contract import Estimate, ParameterEstimate, Status
+from upright.estimators.data.segments import DataError
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.fit.gauss_newton import Minimum
+from upright.estimators.fit.problem import Problem
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.models.random.disturbance import parameters_of
 
 Array = NDArray[np.float64]
 

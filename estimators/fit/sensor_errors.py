@@ -9,15 +9,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from estimators.disturbance_estimate import NarrowBandEstimate
-from estimators.fit.disturbance import Found
-from estimators.fit.input_noise import input_noise
-from estimators.numbers import with_error
-from models.random.input_noise import SHARE, noisy_inputs
-from models.random.sensor_error import at_outputs
+from upright.estimators.disturbance_estimate import NarrowBandEstimate
+from upright.estimators.fit.disturbance import Found
+from upright.estimators.fit.input_noise import input_noise
+from upright.estimators.numbers import with_error
+from upright.models.random.input_noise import SHARE, noisy_inputs
+from upright.models.random.sensor_error import at_outputs
 
 if TYPE_CHECKING:
-    from estimators.fit.maximum_likelihood import Fit
+    from upright.estimators.fit.maximum_likelihood import Fit
 
 
 @dataclass(frozen=True, slots=True)

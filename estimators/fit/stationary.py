@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError
+from upright.estimators.contract import EstimationError
 
 Array = NDArray[np.float64]
 

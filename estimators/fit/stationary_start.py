@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.innovations import NoiseModel, SteadyState
-from models.random.disturbance import power_share
+from upright.estimators.fit.innovations import NoiseModel, SteadyState
+from upright.models.random.disturbance import power_share
 
 Array = NDArray[np.float64]
 

@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from estimators.contract import EstimationError
-from estimators.fit.gauss_newton import Normal, common_information
-from estimators.fit.innovations import WIDEST
-from estimators.fit.likelihood import Likelihood
-from estimators.fit.maximum_likelihood import Fit, fit
-from estimators.fit.problem import problem
-from models.compiler.kernel import Progress
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.gauss_newton import Normal, common_information
+from upright.estimators.fit.innovations import WIDEST
+from upright.estimators.fit.likelihood import Likelihood
+from upright.estimators.fit.maximum_likelihood import Fit, fit
+from upright.estimators.fit.problem import problem
+from upright.models.compiler.kernel import Progress
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
-from estimators.contract import Status
-from estimators.identify.table import METHODS, Condition, Flaw
+from upright.estimators.contract import Status
+from upright.estimators.identify.table import METHODS, Condition, Flaw
 
 AS_GOOD = 1.0
 """Insignificant difference of the fit, percent: the sensors' noise at the start of each prediction causes as much."""

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimators.fit.maximum_likelihood import Fit
-from models.expressions import names_in, parse
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.models.expressions import names_in, parse
 
 
 def combinations(fitted: Fit, expressions: Mapping[str, str]) -> dict[str, tuple[float, float]]:

@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.data.as_recorded import as_recorded
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import Problem, at_rest, linearise, problem, typical_motion
-from estimators.methods.prediction_error import predicted_percent
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.data.as_recorded import as_recorded
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import Problem, at_rest, linearise, problem, typical_motion
+from upright.estimators.methods.prediction_error import predicted_percent
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

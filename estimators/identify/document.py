@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from statistics import fmean, stdev
 from typing import Any
 
-from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.identify.choice import OWN, choose
-from estimators.identify.subject import OwnMethods
-from estimators.identify.table import METHODS, Domain, Experiment
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate, ParameterEstimate, Status
+from upright.estimators.identify.choice import OWN, choose
+from upright.estimators.identify.subject import OwnMethods
+from upright.estimators.identify.table import METHODS, Domain, Experiment
+from upright.telemetry.recording import Recording
 
 FAILED, NOT_SUITED, CANCELLED = "failed", "not_suited", "cancelled"
 """Status values of a method, in addition to those of an estimate."""

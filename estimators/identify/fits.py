@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from estimators.identify.choice import COMMON, OWN
-from estimators.identify.common_fit import CommonPredictor
-from estimators.identify.subject import Subject, Values
-from models.model import Model
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
+from upright.estimators.identify.choice import COMMON, OWN
+from upright.estimators.identify.common_fit import CommonPredictor
+from upright.estimators.identify.subject import Subject, Values
+from upright.models.model import Model
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
 
 
 def measure(entries: Mapping[str, dict[str, Any]], subject: Subject, recordings: Sequence[Recording]) -> float | None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.identify.table import Domain
-from estimators.numbers import significant
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.identify.table import Domain
+from upright.estimators.numbers import significant
 
 NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
 """Nuisance parameters: estimated so that they do not bias the others, but not properties of the vehicle. They are only

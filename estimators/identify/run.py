@@ -17,20 +17,20 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
-import estimators
-from estimators.contract import Estimate, EstimationError, Estimator, Status
-from estimators.data.segments import DataError
-from estimators.fit.logarithms import is_known_roughly
-from estimators.identify.document import FAILED, Results, document, nothing
-from estimators.identify.fits import measure
-from estimators.identify.subject import NOTHING_OWN, OwnMethods, Subject
-from estimators.identify.table import METHODS, Domain, Method, experiment_of, unsuited
-from estimators.stopwatch import stopwatch
-from models.compiler.kernel import compile_model
-from models.model import Model
-from telemetry.channels import ChannelTable
-from telemetry.errors import RecordingError, UprightError
-from telemetry.recording import Recording
+from upright import estimators
+from upright.estimators.contract import Estimate, EstimationError, Estimator, Status
+from upright.estimators.data.segments import DataError
+from upright.estimators.fit.logarithms import is_known_roughly
+from upright.estimators.identify.document import FAILED, Results, document, nothing
+from upright.estimators.identify.fits import measure
+from upright.estimators.identify.subject import NOTHING_OWN, OwnMethods, Subject
+from upright.estimators.identify.table import METHODS, Domain, Method, experiment_of, unsuited
+from upright.estimators.stopwatch import stopwatch
+from upright.models.compiler.kernel import compile_model
+from upright.models.model import Model
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.errors import RecordingError, UprightError
+from upright.telemetry.recording import Recording
 
 RECURSIVE_FITS = ("recursive_output_error", "recursive_prediction_error")
 REGRESSIONS = ("least_squares", "instrumental_variables")
@@ -182,7 +182,7 @@ def _recursive(name: str, subject: Subject, recorded: ChannelTable) -> tuple[Est
             raise _not_of_this_kind(name)
         support = math.inf if subject.support is None else subject.support
         return regression.make(subject.values, subject.deviations, support, regression.channels), regression.channels
-    module = import_module("estimators.recursive.prediction_error")
+    module = import_module("upright.estimators.recursive.prediction_error")
     form = module.Method(name)
     made = module.RecursivePredictionError(subject.model, support=subject.support, channels=recorded, method=form)
     return made, recorded

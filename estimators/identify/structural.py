@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
 
-from estimators.contract import EstimationError
-from estimators.fit.problem import FINEST, jacobian
-from models.compiler.kernel import Kernel, compile_model
-from models.expressions import names_in, parse
-from models.model import Model
-from models.segment import Segment
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.problem import FINEST, jacobian
+from upright.models.compiler.kernel import Kernel, compile_model
+from upright.models.expressions import names_in, parse
+from upright.models.model import Model
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from estimators.contract import Estimator, ParameterEstimate
-from models.model import Model
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimator, ParameterEstimate
+from upright.models.model import Model
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
 
 Values = Mapping[str, float]
 Percent = Callable[[Values], dict[str, float]]

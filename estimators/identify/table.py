@@ -22,8 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from telemetry.documents import from_json
-from telemetry.recording import Recording
+from upright.telemetry.documents import from_json
+from upright.telemetry.recording import Recording
 
 
 class Domain(StrEnum):

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.problem import Problem, problem
-from estimators.methods.prediction_error import predicted_percent
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.methods.prediction_error import predicted_percent
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

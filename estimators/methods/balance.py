@@ -25,13 +25,13 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError
-from models import library
-from models.compiler.equations import Equations, Magnitude, Signum, compose
-from models.expressions import parse
-from models.model import Model
-from models.parts import Hold, Joint
-from models.segment import Segment
+from upright.estimators.contract import EstimationError
+from upright.models import library
+from upright.models.compiler.equations import Equations, Magnitude, Signum, compose
+from upright.models.expressions import parse
+from upright.models.model import Model
+from upright.models.parts import Hold, Joint
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.recursive.least_squares import continue_autocovariance, positive_meat
-from estimators.speed_loop import LONGEST, MODES, RUN_IN, SHORTEST, Loop, Modes, Window, predict, windows_of
-from estimators.stopwatch import stopwatch
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate, ParameterEstimate, Status
+from upright.estimators.recursive.least_squares import continue_autocovariance, positive_meat
+from upright.estimators.speed_loop import LONGEST, MODES, RUN_IN, SHORTEST, Loop, Modes, Window, predict, windows_of
+from upright.estimators.stopwatch import stopwatch
+from upright.telemetry.recording import Recording
 
 METHOD = "drive_lag"
 PARAMETERS = ("speed_loop_lag", "setpoint_offset", "roll_reaction")

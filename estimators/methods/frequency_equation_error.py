@@ -18,14 +18,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate
-from estimators.fit.result import inverse
-from estimators.methods.balance import split
-from estimators.methods.frequency_output_error import COHERENT, Denominator, Fit, errors, frequency_fit
-from estimators.methods.frequency_response import Detrend, FrequencyResponse
-from models.model import Model
-from models.parts import Parameter
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate
+from upright.estimators.fit.result import inverse
+from upright.estimators.methods.balance import split
+from upright.estimators.methods.frequency_output_error import COHERENT, Denominator, Fit, errors, frequency_fit
+from upright.estimators.methods.frequency_response import Detrend, FrequencyResponse
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

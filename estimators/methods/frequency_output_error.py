@@ -29,11 +29,11 @@ import sympy
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.data.segments import DataError
-from estimators.fit.result import correlation, inverse, refused, required_std
-from estimators.methods.balance import Balance, split
-from estimators.methods.frequency_response import (
+from upright.estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from upright.estimators.data.segments import DataError
+from upright.estimators.fit.result import correlation, inverse, refused, required_std
+from upright.estimators.methods.balance import Balance, split
+from upright.estimators.methods.frequency_response import (
     DETRENDED,
     OF_BINS,
     Detrend,
@@ -41,11 +41,11 @@ from estimators.methods.frequency_response import (
     force_spectra,
     response,
 )
-from estimators.methods.least_squares import REQUIRED_SHARE, assembled, size_of
-from estimators.stopwatch import stopwatch
-from models.model import Model
-from models.parts import Parameter
-from telemetry.recording import Recording
+from upright.estimators.methods.least_squares import REQUIRED_SHARE, assembled, size_of
+from upright.estimators.stopwatch import stopwatch
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

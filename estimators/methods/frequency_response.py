@@ -28,13 +28,13 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError, Status
-from estimators.data.segments import DataError, segments
-from estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
-from models.model import Model
-from models.parts import Hold
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.estimators.contract import EstimationError, Status
+from upright.estimators.data.segments import DataError, segments
+from upright.estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
+from upright.models.model import Model
+from upright.models.parts import Hold
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

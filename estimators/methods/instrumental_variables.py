@@ -23,16 +23,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate, Status
-from estimators.data.instrument_bank import InstrumentBank
-from estimators.data.segments import DataError, segments
-from estimators.fit.result import refused
-from estimators.methods.balance import Balance, channel, split
-from estimators.methods.least_squares import balance_rows, checked_bandwidth, regression
-from estimators.stopwatch import stopwatch
-from models.model import Model
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate, Status
+from upright.estimators.data.instrument_bank import InstrumentBank
+from upright.estimators.data.segments import DataError, segments
+from upright.estimators.fit.result import refused
+from upright.estimators.methods.balance import Balance, channel, split
+from upright.estimators.methods.least_squares import balance_rows, checked_bandwidth, regression
+from upright.estimators.stopwatch import stopwatch
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

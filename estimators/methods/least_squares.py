@@ -20,16 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.data.segments import DataError, segments
-from estimators.fit.result import correlation, refused, required_std
-from estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
-from estimators.recursive.least_squares import RecursiveLeastSquares
-from estimators.stopwatch import stopwatch
-from models.model import Model
-from models.parts import Parameter
-from models.segment import Segment
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from upright.estimators.data.segments import DataError, segments
+from upright.estimators.fit.result import correlation, refused, required_std
+from upright.estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
+from upright.estimators.recursive.least_squares import RecursiveLeastSquares
+from upright.estimators.stopwatch import stopwatch
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.models.segment import Segment
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -22,16 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from estimators.contract import Estimate, EstimationError
-from estimators.data.segments import DataError
-from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
-from estimators.fit.problem import Problem, jacobian, problem
-from estimators.fit.result import assemble, inverse, refused, with_known
-from estimators.stopwatch import stopwatch
-from models import library
-from models.compiler.kernel import Progress, compile_model
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate, EstimationError
+from upright.estimators.data.segments import DataError
+from upright.estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
+from upright.estimators.fit.problem import Problem, jacobian, problem
+from upright.estimators.fit.result import assemble, inverse, refused, with_known
+from upright.estimators.stopwatch import stopwatch
+from upright.models import library
+from upright.models.compiler.kernel import Progress, compile_model
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

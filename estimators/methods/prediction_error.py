@@ -12,21 +12,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate, EstimationError
-from estimators.data.as_recorded import as_recorded
-from estimators.data.segments import DataError
-from estimators.data.time_scale import horizon
-from estimators.fit.disturbance import disturbances, is_of_disturbance
-from estimators.fit.maximum_likelihood import Fit, fit
-from estimators.fit.problem import problem
-from estimators.fit.released import released
-from estimators.fit.result import assemble, inverse, refused, with_known
-from estimators.stopwatch import stopwatch
-from models import library
-from models.compiler.kernel import Progress
-from models.model import Model
-from models.random.disturbance import disturbed
-from telemetry.recording import Recording
+from upright.estimators.contract import Estimate, EstimationError
+from upright.estimators.data.as_recorded import as_recorded
+from upright.estimators.data.segments import DataError
+from upright.estimators.data.time_scale import horizon
+from upright.estimators.fit.disturbance import disturbances, is_of_disturbance
+from upright.estimators.fit.maximum_likelihood import Fit, fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.fit.released import released
+from upright.estimators.fit.result import assemble, inverse, refused, with_known
+from upright.estimators.stopwatch import stopwatch
+from upright.models import library
+from upright.models.compiler.kernel import Progress
+from upright.models.model import Model
+from upright.models.random.disturbance import disturbed
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from estimators.contract import EstimationError, Status
-from estimators.data.segments import AGREEMENT, Contradiction, DataError, channels_of, segments
-from estimators.data.time_scale import motion_time
-from estimators.readings.readings import Reading, one, readings
-from estimators.readings.score import Score, score
-from models.model import Model
-from models.natural_time import natural_time
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.tables.mapping import Assumption, factor_of
+from upright.estimators.contract import EstimationError, Status
+from upright.estimators.data.segments import AGREEMENT, Contradiction, DataError, channels_of, segments
+from upright.estimators.data.time_scale import motion_time
+from upright.estimators.readings.readings import Reading, one, readings
+from upright.estimators.readings.score import Score, score
+from upright.models.model import Model
+from upright.models.natural_time import natural_time
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.tables.mapping import Assumption, factor_of
 
 DECISIVE = math.log(1e6)
 """Log-likelihood ratio by which another reading must be better: odds of a million to one."""

@@ -8,13 +8,13 @@ from itertools import combinations
 
 import numpy as np
 
-from estimators.data.segments import channels_of, optional_channels
-from models.model import Model
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.tables.assumed import as_assumed
-from telemetry.tables.mapping import Assumption
-from telemetry.tables.units import unit_of
+from upright.estimators.data.segments import channels_of, optional_channels
+from upright.models.model import Model
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.tables.assumed import as_assumed
+from upright.telemetry.tables.mapping import Assumption
+from upright.telemetry.tables.units import unit_of
 
 TIME = {"ms": "in milliseconds", "us": "in microseconds", "ns": "in nanoseconds", "min": "in minutes", "d": "in days"}
 UNITS = {

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError
-from estimators.data.segments import segments
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import problem
-from models.model import Model
-from models.segment import Segment
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.segments import segments
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import problem
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

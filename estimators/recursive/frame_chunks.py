@@ -18,12 +18,12 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Status
-from estimators.data.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError, reading
-from models.model import Model
-from models.segment import Segment
-from telemetry.channels import IDLE, ChannelTable
-from telemetry.samples import Frame
+from upright.estimators.contract import Status
+from upright.estimators.data.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError, reading
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.telemetry.channels import IDLE, ChannelTable
+from upright.telemetry.samples import Frame
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.result import inverse, with_known
+from upright.estimators.fit.result import inverse, with_known
 
 Array = NDArray[np.float64]
 

@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_toeplitz, toeplitz
 from scipy.special import ndtri, stdtrit
 
-from estimators.contract import EstimationError
+from upright.estimators.contract import EstimationError
 
 Array = NDArray[np.float64]
 

@@ -20,21 +20,21 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.disturbance import is_of_disturbance
-from estimators.fit.logarithms import is_known_roughly
-from estimators.fit.problem import Problem, jacobian, substeps_of, usual_motion
-from estimators.recursive.frame_chunks import FrameChunks
-from estimators.recursive.predictor import RecursivePredictor, Seen
-from models import library
-from models.compiler.kernel import Progress, compile_model
-from models.model import Model
-from models.parts import Parameter
-from models.random.disturbance import disturbed, parameters_of
-from models.segment import Segment
-from telemetry.channels import ChannelTable
-from telemetry.samples import Frame
+from upright.estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.fit.disturbance import is_of_disturbance
+from upright.estimators.fit.logarithms import is_known_roughly
+from upright.estimators.fit.problem import Problem, jacobian, substeps_of, usual_motion
+from upright.estimators.recursive.frame_chunks import FrameChunks
+from upright.estimators.recursive.predictor import RecursivePredictor, Seen
+from upright.models import library
+from upright.models.compiler.kernel import Progress, compile_model
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.models.random.disturbance import disturbed, parameters_of
+from upright.models.segment import Segment
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Frame
 
 CHUNK = 25
 """Samples that are processed together."""

@@ -31,22 +31,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.disturbance import Found, is_of_disturbance, of_joints
-from estimators.fit.gauss_newton import Minimum
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.likelihood import FLOOR
-from estimators.fit.logarithms import is_known_roughly
-from estimators.fit.problem import Problem
-from estimators.fit.result import assemble
-from estimators.fit.stationary_start import stationary_spread
-from estimators.recursive.frame_chunks import Chunk, join
-from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
-from models.compiler.kernel import Memory
-from models.expressions import number
-from models.parts import Output
-from models.segment import Segment
+from upright.estimators.contract import Estimate
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.fit.disturbance import Found, is_of_disturbance, of_joints
+from upright.estimators.fit.gauss_newton import Minimum
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.likelihood import FLOOR
+from upright.estimators.fit.logarithms import is_known_roughly
+from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.result import assemble
+from upright.estimators.fit.stationary_start import stationary_spread
+from upright.estimators.recursive.frame_chunks import Chunk, join
+from upright.estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
+from upright.models.compiler.kernel import Memory
+from upright.models.expressions import number
+from upright.models.parts import Output
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

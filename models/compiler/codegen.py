@@ -20,11 +20,11 @@ from dataclasses import dataclass, field
 
 import sympy
 
-from models.compiler.column_code import Lines, column_functions, number
-from models.compiler.derivatives import Derivatives
-from models.compiler.equations import Equations, Magnitude, Signum, compose
-from models.model import Model
-from models.parts import Hold, ModelError
+from upright.models.compiler.column_code import Lines, column_functions, number
+from upright.models.compiler.derivatives import Derivatives
+from upright.models.compiler.equations import Equations, Magnitude, Signum, compose
+from upright.models.model import Model
+from upright.models.parts import Hold, ModelError
 
 FUNCTIONS = {
     **{getattr(sympy, name): name for name in ("sin", "cos", "tan", "asin", "acos", "atan")},

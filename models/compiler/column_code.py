@@ -19,7 +19,7 @@ import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from models.compiler.machine_code import lanes
+from upright.models.compiler.machine_code import lanes
 
 NOTHING = 1e-150
 """Smaller sensitivities are set to 0: decaying ones would become numbers that take processors ten times as long."""

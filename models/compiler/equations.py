@@ -14,12 +14,12 @@ from dataclasses import asdict, dataclass
 
 import sympy
 
-from models.effect import AttachedEffect
-from models.expressions import names_in, parse
-from models.model import Model
-from models.parts import Actuator, Hold, Joint, ModelError, Place, Sensor
-from models.place import VOCABULARY
-from models.sensing import FILTERED, delayed, integrated
+from upright.models.effect import AttachedEffect
+from upright.models.expressions import names_in, parse
+from upright.models.model import Model
+from upright.models.parts import Actuator, Hold, Joint, ModelError, Place, Sensor
+from upright.models.place import VOCABULARY
+from upright.models.sensing import FILTERED, delayed, integrated
 
 Symbols = Mapping[str, sympy.Expr]
 

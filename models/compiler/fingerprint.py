@@ -6,8 +6,8 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from models.compiler import machine_code
-from models.model import Model
+from upright.models.compiler import machine_code
+from upright.models.model import Model
 
 
 def fingerprint(model: Model) -> str:

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from models.compiler import machine_code
-from models.compiler.fingerprint import SOURCES, digest, fingerprint
-from models.model import Model
-from models.parts import ModelError
-from models.segment import Segment
+from upright.models.compiler import machine_code
+from upright.models.compiler.fingerprint import SOURCES, digest, fingerprint
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -314,7 +314,7 @@ def compile_model(model: Model, *, neutral: Sequence[str] = (), progress: Progre
         _loops(progress)
         found = machine_code.recall(name)
         if found is None:
-            from models.compiler.codegen import generate
+            from upright.models.compiler.codegen import generate
 
             progress(f"model {model.name}: compiling")
             made = generate(model, neutral)
@@ -339,14 +339,14 @@ def compile_model(model: Model, *, neutral: Sequence[str] = (), progress: Progre
 
 
 def _loops(progress: Progress | None = None) -> Any:
-    """models.compiler.loops.run, compiled."""
+    """upright.models.compiler.loops.run, compiled."""
     if LOOPS not in _loaded:
         name = f"loops-{digest(SOURCES, machine_code.processor())}"
         found = machine_code.recall(name)
         if found is None:
             if progress is not None:
                 progress("compiling the integrator, once on this computer")
-            from models.compiler.loops import intermediate_code
+            from upright.models.compiler.loops import intermediate_code
 
             found = machine_code.assemble(intermediate_code(LOOPS), {}, optimise=True)
             machine_code.keep(name, found)

@@ -23,7 +23,7 @@ from llvmlite import ir
 from numba import cfunc, config, njit, types
 from numba.extending import intrinsic
 
-from models.compiler.machine_code import lanes
+from upright.models.compiler.machine_code import lanes
 
 NUMBER, INTEGER = types.float64, types.int64
 NUMBERS, INTEGERS = types.CPointer(NUMBER), types.CPointer(INTEGER)

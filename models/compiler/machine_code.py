@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from models.own_files import make_own, read_own
+from upright.models.own_files import make_own, read_own
 
 DIGEST = hashlib.sha256().digest_size
 

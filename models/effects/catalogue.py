@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import difflib
 
-from models.effect import Effect, Family
-from models.effects import (
+from upright.models.effect import Effect, Family
+from upright.models.effects import (
     bias,
     coupling,
     dry_friction,
@@ -21,7 +21,7 @@ from models.effects import (
     structure,
     time_shift,
 )
-from models.parts import ModelError
+from upright.models.parts import ModelError
 
 _ALL = (
     bias.STATIC_TORQUE,

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from models.effect import Effect, EffectParameter, EffectState, Family
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, EffectState, Family
+from upright.models.parts import Place
 
 # Bristles that slide fast stay bent. A lag, negligible for the motion, avoids shorter integration steps for them.
 _BENDING = "(rate - abs(rate) * bend) / (travel + 0.005 * time_scale * abs(rate))"

@@ -20,8 +20,8 @@ exchange no torque until a flank stops them, by Hunt and Crossley, with enough d
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, EffectState, Family
+from upright.models.parts import Place
 
 HYSTERESIS = Effect(
     name="hysteresis",

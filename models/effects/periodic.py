@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family, Role
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, Family, Role
+from upright.models.parts import Place
 
 PERIODIC_DISTURBANCE = Effect(
     name="periodic_disturbance",

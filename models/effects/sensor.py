@@ -7,8 +7,8 @@ delay.
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, EffectState, Family
+from upright.models.parts import Place
 
 GYRO_BIAS = Effect(
     name="gyro_bias",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family, Role
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, EffectState, Family, Role
+from upright.models.parts import Place
 
 _SPRING = "((2 * pi * frequency) ** 2 * twist + 4 * pi * frequency * damping_ratio * twist_rate)"
 

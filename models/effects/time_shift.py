@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, Family
+from upright.models.parts import Place
 
 INPUT_DELAY = Effect(
     name="input_delay",

@@ -12,8 +12,8 @@ import hashlib
 import os
 from pathlib import Path
 
-from models.own_files import make_own, read_own
-from models.parts import ModelError
+from upright.models.own_files import make_own, read_own
+from upright.models.parts import ModelError
 
 NAME = "allowed-python"
 

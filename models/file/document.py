@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from models.model import Model
+from upright.models.model import Model
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,13 @@ import random
 from collections.abc import Iterator, Mapping
 from string import Formatter
 
-from models.attach import check_names
-from models.effect import Effect, EffectParameter
-from models.effects.catalogue import CATALOGUE
-from models.expressions import name_problem, number
-from models.parts import ModelError, Place
-from models.place import SCALES, UNITS, VOCABULARY
-from models.sensing import FILTERED
+from upright.models.attach import check_names
+from upright.models.effect import Effect, EffectParameter
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.expressions import name_problem, number
+from upright.models.parts import ModelError, Place
+from upright.models.place import SCALES, UNITS, VOCABULARY
+from upright.models.sensing import FILTERED
 
 _TRIES = 40
 """Random motions on which neutrality is tested; a term that is inactive in one is active in another."""

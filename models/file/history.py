@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from models.file.document import ModelFile
-from models.model import Model
-from models.parts import ModelError
+from upright.models.file.document import ModelFile
+from upright.models.model import Model
+from upright.models.parts import ModelError
 
 
 def values_of(before: Model, after: Model) -> dict[str, dict[str, dict[str, float]]]:

@@ -15,17 +15,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models import library
-from models.file.document import ModelFile
-from models.file.own_equations import base_model, given
-from models.file.sections import EffectSection, HistorySection, one_of, sections
-from models.model import Model
-from models.parts import ModelError
-from telemetry.documents import from_toml
-from telemetry.tables.mapping import MappingError, columns_of
+from upright.models import library
+from upright.models.file.document import ModelFile
+from upright.models.file.own_equations import base_model, given
+from upright.models.file.sections import EffectSection, HistorySection, one_of, sections
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.telemetry.documents import from_toml
+from upright.telemetry.tables.mapping import MappingError, columns_of
 
 if TYPE_CHECKING:
-    from models.effect import AttachedEffect, Effect
+    from upright.models.effect import AttachedEffect, Effect
 
 
 def load_model(name_or_path: str | Path) -> Model:
@@ -78,7 +78,7 @@ def write(file: ModelFile, path: str | Path) -> None:
     Raises:
         ModelError: a model file cannot express `file` (an own effect without a file), or it cannot be written.
     """
-    from models.file import text as as_text
+    from upright.models.file import text as as_text
 
     path = Path(os.path.realpath(path))
     for attached in file.model.effects:
@@ -126,14 +126,14 @@ def _attach(model: Model, entry: EffectSection, file: str, where: str) -> tuple[
 
 
 def _effect(entry: EffectSection, file: str) -> Effect:
-    from models.effects.catalogue import find
+    from upright.models.effects.catalogue import find
 
     if not entry.file:
         if not entry.name:
             what = "has neither name nor file"
             raise ModelError("effect", what, remedy="name an effect; `upright model list-effects` lists them.")
         return find(entry.name).with_parameters(entry.parameters)
-    from models.file.own_effects import load_effect
+    from upright.models.file.own_effects import load_effect
 
     effect = load_effect(Path(file).parent / entry.file)
     if entry.name and effect.name != entry.name:
@@ -148,12 +148,12 @@ def _entry(section: HistorySection) -> dict[str, Any]:
 
 def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None:
     """Raises ModelError unless the effect can be found again, in the catalogue or in a file."""
-    from models.effects.catalogue import find
+    from upright.models.effects.catalogue import find
 
     own = file.effect_files.get(attached.name)
     where = f"{path}: effect {attached.name}"
     if own is not None:
-        from models.file.own_effects import load_effect
+        from upright.models.file.own_effects import load_effect
 
         if load_effect(path.parent / own) != attached.effect:
             raise ModelError(where, f"{own} now describes another effect", remedy="read the model file again.")

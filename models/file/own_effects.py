@@ -36,13 +36,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from models.attach import BELONGING
-from models.effect import Effect, EffectParameter, EffectState, Family, Role
-from models.effects.catalogue import CATALOGUE
-from models.file.allowed_code import is_allowed, sha256
-from models.file.effect_rules import validate
-from models.parts import ModelError, Place
-from telemetry.documents import from_toml
+from upright.models.attach import BELONGING
+from upright.models.effect import Effect, EffectParameter, EffectState, Family, Role
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.file.allowed_code import is_allowed, sha256
+from upright.models.file.effect_rules import validate
+from upright.models.parts import ModelError, Place
+from upright.telemetry.documents import from_toml
 
 _OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by"))
 """Attributes without a default that a file may omit; the equation then consists of the expressions."""

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, replace
 from typing import Any, TypeVar
 
-from models import library
-from models.expressions import check, length, name_problem, names_in
-from models.file.sections import JointSection, ModelSection, ParameterSection, Section, one_of
-from models.model import Model
-from models.parts import (
+from upright.models import library
+from upright.models.expressions import check, length, name_problem, names_in
+from upright.models.file.sections import JointSection, ModelSection, ParameterSection, Section, one_of
+from upright.models.model import Model
+from upright.models.parts import (
     Actuator,
     Disturbance,
     Filter,
@@ -28,7 +28,7 @@ from models.parts import (
     Sensor,
     State,
 )
-from models.random.part import MOST_DAMPED
+from upright.models.random.part import MOST_DAMPED
 
 Build = TypeVar("Build")
 

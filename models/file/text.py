@@ -12,12 +12,12 @@ from dataclasses import MISSING, asdict, fields, replace
 from itertools import takewhile
 from typing import Any
 
-from models import library
-from models.attach import attach
-from models.effect import AttachedEffect
-from models.file.document import ModelFile
-from models.model import Model
-from models.parts import Disturbance, Filter, NarrowBand, Parameter
+from upright.models import library
+from upright.models.attach import attach
+from upright.models.effect import AttachedEffect
+from upright.models.file.document import ModelFile
+from upright.models.model import Model
+from upright.models.parts import Disturbance, Filter, NarrowBand, Parameter
 
 _VALUES = ("value", "std", "lower", "upper", "estimated", "scale")
 _INTRODUCTION = """\

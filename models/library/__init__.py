@@ -6,10 +6,10 @@ folder.
 
 from __future__ import annotations
 
-from models.library.axis import AXIS
-from models.model import Model
-from models.parts import ModelError
-from telemetry.vehicle_modules import each_with
+from upright.models.library.axis import AXIS
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.telemetry.vehicle_modules import each_with
 
 MODELS: dict[str, Model] = {model.name: model for module in each_with("model").values() for model in module.MODELS} | {
     AXIS.name: AXIS

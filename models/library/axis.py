@@ -8,8 +8,8 @@ motor voltage in V, with `force_gain` in N m/V.
 
 from __future__ import annotations
 
-from models.model import Model
-from models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
+from upright.models.model import Model
+from upright.models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 
 
 def axis(

@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.expressions import names_in
-from models.model import Model
-from models.parts import Disturbance, Joint, NarrowBand, State
-from models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
-from telemetry.recording import Recording
+from upright.models.expressions import names_in
+from upright.models.model import Model
+from upright.models.parts import Disturbance, Joint, NarrowBand, State
+from upright.models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
+from upright.telemetry.recording import Recording
 
 SMALL = 0.02
 """Share of a joint's typical force from which the estimation of its disturbance's RMS starts."""

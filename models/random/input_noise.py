@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from models.expressions import names_in, renamed
-from models.model import Model
-from models.parts import Parameter, State
+from upright.models.expressions import names_in, renamed
+from upright.models.model import Model
+from upright.models.parts import Parameter, State
 
 SHARE = "noise_share_"
 USUAL = "usual_"

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from models.parts import NarrowBand, Parameter, State
+from upright.models.parts import NarrowBand, Parameter, State
 
 SPREAD = 3.0
 """Prior standard deviation of the natural logarithm of an RMS: only the order of magnitude of a random signal is known

@@ -15,9 +15,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, benchmark, commission, dashboard, design, doctor, live, multisine, talk, vehicle
-from service.cli.models import shown as model
-from telemetry.errors import UprightError
+from upright.service.cli import batch, benchmark, commission, dashboard, design, doctor, live, multisine, talk, vehicle
+from upright.service.cli.models import shown as model
+from upright.telemetry.errors import UprightError
 
 app = typer.Typer(
     name="upright",

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from telemetry.vehicle_modules import kinds_with
+from upright.telemetry.vehicle_modules import kinds_with
 
 
 def starting(names: Iterable[str], incomplete: str) -> list[str]:
@@ -23,21 +23,21 @@ def vehicles(incomplete: str) -> list[str]:
 
 def models(incomplete: str) -> list[str]:
     """Shipped models."""
-    from models import library
+    from upright.models import library
 
     return starting(library.MODELS, incomplete)
 
 
 def effects(incomplete: str) -> list[str]:
     """Effects of the catalogue."""
-    from models.effects.catalogue import CATALOGUE
+    from upright.models.effects.catalogue import CATALOGUE
 
     return starting(CATALOGUE, incomplete)
 
 
 def methods(incomplete: str) -> list[str]:
     """Methods of the identification."""
-    from estimators.identify.table import METHODS
+    from upright.estimators.identify.table import METHODS
 
     return starting(METHODS, incomplete)
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import (
+from upright.service.cli.arguments import (
     AssumeOption,
     FromOption,
     MapOption,
@@ -18,11 +18,11 @@ from service.cli.arguments import (
     methods,
     models,
 )
-from service.cli.compare import compare
-from service.cli.diagnose import diagnose
-from service.cli.inputs import fitting, load_recording, load_recordings, working
-from service.output import check_folder, live_estimates, page, print_json
-from service.whole_file import write_whole
+from upright.service.cli.compare import compare
+from upright.service.cli.diagnose import diagnose
+from upright.service.cli.inputs import fitting, load_recording, load_recordings, working
+from upright.service.output import check_folder, live_estimates, page, print_json
+from upright.service.whole_file import write_whole
 
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
@@ -85,18 +85,18 @@ def identify(
 
     Ctrl-C ends the estimation and shows the results up to then.
     """
-    from service.offline.identify import identified
-    from service.offline.machine import name_of
-    from service.offline.models import columns, identified_model
-    from service.offline.provenance import assumed, provenance
-    from telemetry.tables.mapping import said_of
-    from vehicles.file import load
+    from upright.service.offline.identify import identified
+    from upright.service.offline.machine import name_of
+    from upright.service.offline.models import columns, identified_model
+    from upright.service.offline.provenance import assumed, provenance
+    from upright.telemetry.tables.mapping import said_of
+    from upright.vehicles.file import load
 
     file = load(vehicle)
     subject = identified_model(model, file)
     known = truths(truth or [])
     if picture is not None:
-        from diagnosis.report.figures.methods import check_suffix
+        from upright.diagnosis.report.figures.methods import check_suffix
 
         check_suffix(picture)
     check_folder(report)
@@ -108,7 +108,7 @@ def identify(
         )
     document = answer.document
     if picture is not None:
-        from diagnosis.report.figures.methods import save_methods
+        from upright.diagnosis.report.figures.methods import save_methods
 
         save_methods(document, picture, truth=known)
     if report is not None:
@@ -118,7 +118,7 @@ def identify(
     if json:
         print_json({**document, "assumed": assumed(loaded)})
     else:
-        from service.pages.identify import print_methods
+        from upright.service.pages.identify import print_methods
 
         print_methods(document, known)
         if picture is not None:
@@ -148,8 +148,8 @@ def truths(options: list[str]) -> dict[str, float]:
 
 def replay(recordings: RecordingsArgument, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again, with bit-identical results."""
-    from service.offline.replay import replay as run
-    from vehicles.file import load
+    from upright.service.offline.replay import replay as run
+    from upright.vehicles.file import load
 
     file = load(vehicle)
     results = {}
@@ -183,10 +183,10 @@ def convert(
     read, and what was assumed is printed. If a logger began anew in it, the further parts are written beside the first,
     as NAME-2.
     """
-    from service.offline.can_log import is_can_log
-    from service.offline.replay import convert as run
-    from telemetry.tables.mapping import said_of
-    from vehicles.file import load
+    from upright.service.offline.can_log import is_can_log
+    from upright.service.offline.replay import convert as run
+    from upright.telemetry.tables.mapping import said_of
+    from upright.vehicles.file import load
 
     models = None if is_can_log(source) else ()
     user = said_of(map_ or [], assume or [])

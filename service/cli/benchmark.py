@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.output import page, people, print_json
+from upright.service.output import page, people, print_json
 
 if TYPE_CHECKING:
-    from service.hidden_effects.cases import Grid
-    from service.hidden_effects.trial import Bench
+    from upright.service.hidden_effects.cases import Grid
+    from upright.service.hidden_effects.trial import Bench
 
 benchmark = typer.Typer(help="Measure how good the diagnosis is.", no_args_is_help=True)
 
@@ -106,11 +106,11 @@ def hidden_effects(
 
     Ctrl-C ends it and shows the results up to then; the same command resumes.
     """
-    from diagnosis.report.figures.methods import check_suffix
-    from service.hidden_effects.benchmark import benchmark as run
-    from service.hidden_effects.results import trials as results
-    from service.hidden_effects.results.summary import summarise
-    from service.hidden_effects.spread import machines, processes
+    from upright.diagnosis.report.figures.methods import check_suffix
+    from upright.service.hidden_effects.benchmark import benchmark as run
+    from upright.service.hidden_effects.results import trials as results
+    from upright.service.hidden_effects.results.summary import summarise
+    from upright.service.hidden_effects.spread import machines, processes
 
     if picture is not None:
         check_suffix(picture)
@@ -130,13 +130,13 @@ def hidden_effects(
             people.print(f"Interrupted. The results up to now are in {output}; the same command resumes.")
     figures = summarise(lines.values())
     if picture is not None and lines:
-        from service.hidden_effects.results.confusion_picture import save_confusion
+        from upright.service.hidden_effects.results.confusion_picture import save_confusion
 
         save_confusion(figures, picture)
     if json:
         print_json(figures.to_json())
     else:
-        from service.cli.pages.benchmark import print_summary
+        from upright.service.cli.pages.benchmark import print_summary
 
         print_summary(figures)
         if picture is not None:
@@ -158,8 +158,8 @@ def _grid(
     first: int,
 ) -> Grid:
     """The grid that the options describe. Raises UnknownEffectError, and BadParameter for other invalid options."""
-    from service.hidden_effects.cases import QUICK, Grid
-    from vehicles.file import load
+    from upright.service.hidden_effects.cases import QUICK, Grid
+    from upright.vehicles.file import load
 
     base = QUICK if quick else Grid()
     if excitations is not None:
@@ -179,11 +179,11 @@ def _grid(
 
 def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str | None) -> Bench:
     """Raises BadParameter for an unknown baseline or an invalid disturbance, ModelError for an unknown model."""
-    from models.library import get
-    from service.hidden_effects.disturbances import drawn_for, parse_disturbances
-    from service.hidden_effects.methods.answers import diagnosis
-    from service.hidden_effects.methods.baselines import BASELINES
-    from service.hidden_effects.trial import SUBJECT, Bench
+    from upright.models.library import get
+    from upright.service.hidden_effects.disturbances import drawn_for, parse_disturbances
+    from upright.service.hidden_effects.methods.answers import diagnosis
+    from upright.service.hidden_effects.methods.baselines import BASELINES
+    from upright.service.hidden_effects.trial import SUBJECT, Bench
 
     chosen = baseline if baseline is not None else [] if quick else list(BASELINES)
     for name in chosen:

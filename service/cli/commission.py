@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.arguments import VehicleOption
-from service.cli.live import HideOption
-from service.output import check_folder, page, people
-from service.whole_file import write_whole
+from upright.service.cli.arguments import VehicleOption
+from upright.service.cli.live import HideOption
+from upright.service.output import check_folder, page, people
+from upright.service.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from service.commission.guide import Guide
-    from vehicles.commissioning import Entry, Step
-    from vehicles.file import VehicleFile
+    from upright.service.commission.guide import Guide
+    from upright.vehicles.commissioning import Entry, Step
+    from upright.vehicles.file import VehicleFile
 
 BUS = "virtual:upright-commission"
 MARKS = {
@@ -84,10 +84,10 @@ def commission(
     The daemon (`upright serve`) keeps the record, so that it can be resumed after a restart or a day, here or on the
     dashboard. Ctrl-C during an experiment lowers the vehicle. Exit code 1: a step was not accepted.
     """
-    from service.cli.talk import follow
-    from service.commission.guide import Guide
-    from service.control import api
-    from vehicles.file import load
+    from upright.service.cli.talk import follow
+    from upright.service.commission.guide import Guide
+    from upright.service.control import api
+    from upright.vehicles.file import load
 
     check_folder(report)
     given = [
@@ -166,7 +166,7 @@ def _commission(
     if begin:
         guide.begin()
     elif began and not resume and first is None:
-        from vehicles.commissioning import CommissioningError
+        from upright.vehicles.commissioning import CommissioningError
 
         following = guide.steps.next(guide.record())
         raise CommissioningError(
@@ -261,8 +261,8 @@ class Events:
         if self.json:
             self._say(type="outcome", **entry.model_dump(mode="json"))
             return
-        from service.commission.report import number_text
-        from vehicles.commissioning import is_within
+        from upright.service.commission.report import number_text
+        from upright.vehicles.commissioning import is_within
 
         for line in entry.text:
             page.print(f"  {line}", markup=False)
@@ -291,11 +291,11 @@ def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path) -> Any:
     """A virtual vehicle and its daemon, as a context manager that gives the control socket."""
     from contextlib import contextmanager
 
-    from service.cli.inputs import working
-    from service.control.daemon import Places
-    from service.observer.online_estimators import online_estimators
-    from service.virtual.daemon import daemon_beside
-    from service.virtual.vehicle import requested_disturbance
+    from upright.service.cli.inputs import working
+    from upright.service.control.daemon import Places
+    from upright.service.observer.online_estimators import online_estimators
+    from upright.service.virtual.daemon import daemon_beside
+    from upright.service.virtual.vehicle import requested_disturbance
 
     @contextmanager
     def beside() -> Any:

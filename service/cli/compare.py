@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import (
+from upright.service.cli.arguments import (
     AssumeOption,
     FromOption,
     MapOption,
@@ -17,8 +17,8 @@ from service.cli.arguments import (
     VehicleOption,
     models,
 )
-from service.output import check_folder, page, people, print_json
-from service.whole_file import write_whole
+from upright.service.output import check_folder, page, people, print_json
+from upright.service.whole_file import write_whole
 
 
 def compare(
@@ -54,17 +54,17 @@ def compare(
     Each recording is compared by itself. The reference is the error that noise alone would cause; the noise is
     estimated from the recording.
     """
-    from service.cli.inputs import load_recordings, working
-    from service.offline.compare import compared
-    from service.offline.machine import name_of
-    from service.offline.models import columns, compared_models
-    from service.offline.provenance import assumed, provenance
-    from service.pages.compare import print_comparisons
-    from telemetry.tables.mapping import said_of
-    from vehicles.file import load
+    from upright.service.cli.inputs import load_recordings, working
+    from upright.service.offline.compare import compared
+    from upright.service.offline.machine import name_of
+    from upright.service.offline.models import columns, compared_models
+    from upright.service.offline.provenance import assumed, provenance
+    from upright.service.pages.compare import print_comparisons
+    from upright.telemetry.tables.mapping import said_of
+    from upright.vehicles.file import load
 
     if picture is not None:
-        from diagnosis.report.figures.methods import check_suffix
+        from upright.diagnosis.report.figures.methods import check_suffix
 
         check_suffix(picture)
     check_folder(report)
@@ -80,14 +80,14 @@ def compare(
             path = Path(recording.source)
             answers.append((path, found))
             if picture is not None:
-                from diagnosis.report.figures.comparison import save_comparison
+                from upright.diagnosis.report.figures.comparison import save_comparison
 
                 step(f"drawing: {path.name}")
                 target = picture if len(loaded) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
                 save_comparison(found, target)
                 pictures.append(target)
         if report is not None:
-            from diagnosis.report import write_comparison
+            from upright.diagnosis.report import write_comparison
 
             origin = provenance(name_of(next(iter(chosen.values())), file), recordings, loaded)
             named = [(str(path), found) for path, found in answers]

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import VehicleArgument
-from service.output import people
+from upright.service.cli.arguments import VehicleArgument
+from upright.service.output import people
 
 SHORTEST_TOKEN = 16
 """Characters of a token, which then cannot be guessed."""
@@ -58,9 +58,9 @@ def dashboard(
     """
     import uvicorn
 
-    from service.dashboard.app import Dashboard, Settings
-    from service.dashboard.guard import LIMITS, new_token
-    from vehicles.file import load
+    from upright.service.dashboard.app import Dashboard, Settings
+    from upright.service.dashboard.guard import LIMITS, new_token
+    from upright.vehicles.file import load
 
     if not websocket.startswith(("ws://", "wss://")) or any(sign in websocket for sign in " ;,'\""):
         raise typer.BadParameter("has to be ws://HOST:PORT or wss://HOST:PORT", param_hint="--websocket")

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.arguments import VehicleOption, methods, models
-from service.output import page, print_json
+from upright.service.cli.arguments import VehicleOption, methods, models
+from upright.service.output import page, print_json
 
 if TYPE_CHECKING:
-    from service.offline.design import Designed, Result
-    from vehicles.file import VehicleFile
+    from upright.service.offline.design import Designed, Result
+    from upright.vehicles.file import VehicleFile
 
 
 def register(app: typer.Typer) -> None:
@@ -61,8 +61,8 @@ def design(
     and at 1,000 draws from it, with the effects that the model has. Otherwise it is refused, with the corner. Nothing
     acts before `--use`.
     """
-    from service.offline.design import designed, read_result
-    from vehicles.file import load
+    from upright.service.offline.design import designed, read_result
+    from upright.vehicles.file import load
 
     if use and back:
         raise typer.BadParameter("give one of the two", param_hint="--use, --back")
@@ -113,8 +113,8 @@ def _print(file: VehicleFile, read: Result, found: Designed) -> None:
 
 def _ask(request: dict[str, Any], vehicle: str, socket: Path | None) -> dict[str, Any]:
     """The daemon's answer. Exits with its exit code if it refuses."""
-    from service.control import api
-    from service.output import people
+    from upright.service.control import api
+    from upright.service.output import people
 
     answer = list(api.call([socket] if socket else api.socket_candidates(vehicle), request, timeout=30.0))[-1]
     if answer["exit_code"]:

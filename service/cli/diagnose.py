@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import (
+from upright.service.cli.arguments import (
     AssumeOption,
     FromOption,
     MapOption,
@@ -19,8 +19,8 @@ from service.cli.arguments import (
     effects,
     models,
 )
-from service.output import page, print_json
-from service.whole_file import write_whole
+from upright.service.output import page, print_json
+from upright.service.whole_file import write_whole
 
 DRAWING = 0.1
 """Share of the time budget that is reserved for drawing a report."""
@@ -85,14 +85,14 @@ def diagnose(
     actuators have a model of their own is diagnosed in two parts: from the command to the actuators' motion, and from
     that motion on. If both parts lack something, a second report is written beside the first. Ctrl-C ends it.
     """
-    from diagnosis.diagnose import Verdict
-    from service.cli.inputs import load_recordings, share_done
-    from service.offline.diagnose import actuators_of, default_budget, diagnosed, report_paths, to_be_completed
-    from service.offline.machine import name_of
-    from service.offline.models import Candidates, columns, written_columns
-    from service.offline.provenance import provenance
-    from telemetry.tables.mapping import said_of
-    from vehicles.file import load
+    from upright.diagnosis.diagnose import Verdict
+    from upright.service.cli.inputs import load_recordings, share_done
+    from upright.service.offline.diagnose import actuators_of, default_budget, diagnosed, report_paths, to_be_completed
+    from upright.service.offline.machine import name_of
+    from upright.service.offline.models import Candidates, columns, written_columns
+    from upright.service.offline.provenance import provenance
+    from upright.telemetry.tables.mapping import said_of
+    from upright.vehicles.file import load
 
     for target in (auto, report):
         if target is not None and not target.absolute().parent.is_dir():
@@ -126,13 +126,13 @@ def diagnose(
             for path, text in zip(pages, texts, strict=True):
                 write_whole(path, text)
     if auto is not None and found.revised is not None:
-        from service.offline.trail import write_trail
+        from upright.service.offline.trail import write_trail
 
         write_trail(auto, found, answer.model, origin.hashes, candidates.files, written_columns(model))
     if json:
         print_json({**found.to_json(), "assumed": read.assumed})
     else:
-        from service.pages.diagnose import print_diagnosis
+        from upright.service.pages.diagnose import print_diagnosis
 
         print_diagnosis(found, seconds)
         if pages:

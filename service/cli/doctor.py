@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.arguments import VEHICLES
-from service.cli.inputs import working
-from service.output import check_folder, page, print_json
+from upright.service.cli.arguments import VEHICLES
+from upright.service.cli.inputs import working
+from upright.service.output import check_folder, page, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from service.doctor.checks import Check, Finding, Status
+    from upright.service.doctor.checks import Check, Finding, Status
 
 OptionalVehicle = Annotated[
     str | None,
@@ -42,8 +42,8 @@ def doctor(
     Each finding comes with its remedy, a command where there is one. Nothing is changed, and the vehicle is not moved.
     Exit code 1 if there is a problem; a warning is none.
     """
-    from service.doctor.checks import Status, examine, worst
-    from service.doctor.collect import Subject, collect
+    from upright.service.doctor.checks import Status, examine, worst
+    from upright.service.doctor.collect import Subject, collect
 
     with working() as step:
         facts, _ = collect(Subject(vehicle, socket, data), step)
@@ -87,10 +87,10 @@ def bundle(
     from dataclasses import asdict
     from datetime import UTC, datetime
 
-    from service.doctor.bundle import Wanted, pack
-    from service.doctor.checks import examine, worst
-    from service.doctor.collect import Subject, collect, loaded, path_of
-    from service.doctor.facts import NotKnown
+    from upright.service.doctor.bundle import Wanted, pack
+    from upright.service.doctor.checks import examine, worst
+    from upright.service.doctor.collect import Subject, collect, loaded, path_of
+    from upright.service.doctor.facts import NotKnown
 
     check_folder(output)
     if output is not None and output.exists():

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from service.output import people
+from upright.service.output import people
 
 if TYPE_CHECKING:
-    from models.model import Model
-    from telemetry.recording import Recording
-    from telemetry.tables.mapping import Said
-    from vehicles.file import VehicleFile
+    from upright.models.model import Model
+    from upright.telemetry.recording import Recording
+    from upright.telemetry.tables.mapping import Said
+    from upright.vehicles.file import VehicleFile
 
 
 def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
     """The recording of a vehicle in a file, the longest of several; the rest is as for `load_recordings`."""
-    from vehicles.file import load
+    from upright.vehicles.file import load
 
     return max(load_recordings([path], load(vehicle), as_stamped=as_stamped), key=len)
 
@@ -40,7 +40,7 @@ def load_recordings(
     """The recordings in files of any kind, from `begin` to `end` s, for `models` (by default those of the vehicle), as
     service.offline.read has them. What was assumed to read a table of another origin is printed on stderr, and so is
     what is unusual."""
-    from service.offline.read import read_all
+    from upright.service.offline.read import read_all
 
     found: list[Recording] = []
     for path in paths:
@@ -101,7 +101,7 @@ def share_done(seconds: float = math.inf) -> Iterator[Callable[[str, float], Non
     )
     from rich.text import Text
 
-    from estimators.budget import Budget
+    from upright.estimators.budget import Budget
 
     class Left(ProgressColumn):
         """The maximum remaining time."""

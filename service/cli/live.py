@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.arguments import VehicleArgument, VehicleOption
-from service.output import page, people
-from service.whole_file import write_whole
+from upright.service.cli.arguments import VehicleArgument, VehicleOption
+from upright.service.output import page, people
+from upright.service.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from simulation.disturbance import Disturbance
-    from vehicles.file import VehicleFile
+    from upright.simulation.disturbance import Disturbance
+    from upright.vehicles.file import VehicleFile
 
 BusOption = Annotated[
     list[str] | None,
@@ -62,17 +62,17 @@ def demo(
     """Run everything without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
     import math
 
-    from diagnosis.prediction.compare import compare as compare_models
-    from service.cli.inputs import load_recording, working
-    from service.cli.talk import follow
-    from service.demo.figure import save_run
-    from service.demo.run import run_demo
-    from service.observer.online_estimators import online_estimators
-    from service.offline.models import compared_models, estimates_beside
-    from service.pages.compare import comparison_table
-    from service.virtual.vehicle import requested_disturbance
-    from vehicles import registry
-    from vehicles.file import load
+    from upright.diagnosis.prediction.compare import compare as compare_models
+    from upright.service.cli.inputs import load_recording, working
+    from upright.service.cli.talk import follow
+    from upright.service.demo.figure import save_run
+    from upright.service.demo.run import run_demo
+    from upright.service.observer.online_estimators import online_estimators
+    from upright.service.offline.models import compared_models, estimates_beside
+    from upright.service.pages.compare import comparison_table
+    from upright.service.virtual.vehicle import requested_disturbance
+    from upright.vehicles import registry
+    from upright.vehicles.file import load
 
     file = load(vehicle)
     given, story = file.parameters, registry.of(file.vehicle.kind).views.story
@@ -100,7 +100,7 @@ def demo(
                 save_run(recording, file, picture)
             page.print(comparison_table(comparisons, title=path.stem))
             page.print(f"  recording {path}\n  picture   {picture}")
-        from service.cli.diagnose import diagnose
+        from upright.service.cli.diagnose import diagnose
 
         report = last.with_name("diagnosis.html")
         try:
@@ -123,10 +123,10 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
     import json
     import math
 
-    from service.cli.inputs import fitting, load_recording
-    from service.offline.identify import identified as run
-    from service.offline.models import estimates_beside
-    from service.pages.identify import print_methods
+    from upright.service.cli.inputs import fitting, load_recording
+    from upright.service.offline.identify import identified as run
+    from upright.service.offline.models import estimates_beside
+    from upright.service.pages.identify import print_methods
 
     recording = load_recording(path, file.path).between(begin, math.inf)
     with fitting() as progress:
@@ -158,11 +158,11 @@ def simulate(
     """
     import threading
 
-    from service.control.api import socket_candidates
-    from service.virtual import vehicle as virtual_vehicle
-    from service.virtual.passenger import passenger
-    from simulation.faults import parse_faults
-    from vehicles.file import load
+    from upright.service.control.api import socket_candidates
+    from upright.service.virtual import vehicle as virtual_vehicle
+    from upright.service.virtual.passenger import passenger
+    from upright.simulation.faults import parse_faults
+    from upright.vehicles.file import load
 
     file = load(vehicle)
     drives, imu = buses(file, bus)
@@ -218,14 +218,14 @@ def serve(
     # The set-up reports a drive that does not answer once; canopen would report it twice a second.
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
-    from service.bounded_log import bounded_log
-    from service.control.api import default_socket
-    from service.control.daemon import Daemon, Places
-    from service.journal import log_as
-    from service.virtual.passenger import passenger
-    from service.virtual.serving import BUS, virtual_vehicle_beside
-    from service.virtual.vehicle import requested_disturbance
-    from vehicles.file import load
+    from upright.service.bounded_log import bounded_log
+    from upright.service.control.api import default_socket
+    from upright.service.control.daemon import Daemon, Places
+    from upright.service.journal import log_as
+    from upright.service.virtual.passenger import passenger
+    from upright.service.virtual.serving import BUS, virtual_vehicle_beside
+    from upright.service.virtual.vehicle import requested_disturbance
+    from upright.vehicles.file import load
 
     file = load(vehicle)
     log_as(file.vehicle.id)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.arguments import VehicleOption
-from service.output import check_folder, page, print_json
-from service.whole_file import write_whole
+from upright.service.cli.arguments import VehicleOption
+from upright.service.output import check_folder, page, print_json
+from upright.service.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from service.offline.multisine import DesignedMultisine
+    from upright.service.offline.multisine import DesignedMultisine
 
 
 def register(app: typer.Typer) -> None:
@@ -55,11 +55,11 @@ def multisine(
     It is predicted in the closed loop with the vehicle's controller, and simulated with the parameters wherever they
     may be, so that no limit is reached. Nothing moves: copy the section into the vehicle file to run it.
     """
-    from service.cli.inputs import share_done
-    from service.offline.design import read_result
-    from service.offline.models import identified_model
-    from service.offline.multisine import designed_multisine
-    from vehicles.file import load
+    from upright.service.cli.inputs import share_done
+    from upright.service.offline.design import read_result
+    from upright.service.offline.models import identified_model
+    from upright.service.offline.multisine import designed_multisine
+    from upright.vehicles.file import load
 
     check_folder(write)
     if not start < stop:

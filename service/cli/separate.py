@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.output import people
-from telemetry.errors import UprightError
+from upright.service.output import people
+from upright.telemetry.errors import UprightError
 
 
 class NothingSeparates(UprightError):
@@ -23,10 +23,10 @@ def chosen_experiment(
 
     Raises NothingSeparates, and ModelError for an effect that the vehicle's model cannot have.
     """
-    from service.cli.inputs import load_recording, share_done
-    from service.offline.models import identified_model
-    from service.offline.next_experiment import separating
-    from vehicles.file import load
+    from upright.service.cli.inputs import load_recording, share_done
+    from upright.service.offline.models import identified_model
+    from upright.service.offline.next_experiment import separating
+    from upright.vehicles.file import load
 
     file = load(vehicle)
     loaded = [load_recording(Path(path), vehicle).between(begin, end) for path in recordings]

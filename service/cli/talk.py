@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.output import live_estimates, missing_effects, page, people, print_json
+from upright.service.output import live_estimates, missing_effects, page, people, print_json
 
 VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Id of the vehicle whose daemon to use.")]
 SocketOption = Annotated[Path | None, typer.Option("--socket", help="The daemon's control socket.", show_default=False)]
@@ -64,7 +64,7 @@ def experiment(
     are printed); 4: stopped by the safety verdict.
     """
     if separate is not None:
-        from service.cli.separate import chosen_experiment
+        from upright.service.cli.separate import chosen_experiment
 
         name, vehicle = chosen_experiment(separate, names or [], vehicle, begin, end)
     elif begin > 0.0 or end < math.inf:
@@ -122,7 +122,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
 
 
 def _call(request: dict[str, Any], vehicle: str, socket: Path | None) -> Iterator[dict[str, Any]]:
-    from service.control import api
+    from upright.service.control import api
 
     timeout = None if request["verb"] == "experiment" else 30.0
     return api.call([socket] if socket else api.socket_candidates(vehicle), request, timeout=timeout)

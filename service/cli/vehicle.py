@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from service.cli.arguments import VehicleArgument
-from service.output import page, print_json
+from upright.service.cli.arguments import VehicleArgument
+from upright.service.output import page, print_json
 
 config = typer.Typer(help="Check and show vehicle files, and list all their keys.", no_args_is_help=True)
 
@@ -26,12 +26,12 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
 
     With exit code 1 the first wrong key and the remedy are printed. What is wrong in an EDS but does no harm is a note.
     """
-    from drivers.cia402 import eds
-    from service.control import assembly
-    from service.control.sequence import plan
-    from vehicles import registry
-    from vehicles.drives import drive_config
-    from vehicles.file import load
+    from upright.drivers.cia402 import eds
+    from upright.service.control import assembly
+    from upright.service.control.sequence import plan
+    from upright.vehicles import registry
+    from upright.vehicles.drives import drive_config
+    from upright.vehicles.file import load
 
     vehicle = load(file)
     kind = registry.kind_of(vehicle, assembly.vehicle_io(vehicle))
@@ -69,7 +69,7 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config show monocab --json`")
 def show(file: VehicleArgument, json: JsonOption = False) -> None:
     """Show a vehicle file as it was read, including defaults."""
-    from vehicles.file import load
+    from upright.vehicles.file import load
 
     vehicle = load(file)
     if json:
@@ -85,6 +85,6 @@ def show(file: VehicleArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config schema > vehicle.schema.json`")
 def schema() -> None:
     """Print the JSON Schema of vehicle files: all keys with meaning and unit."""
-    from vehicles import file as vehicle_file
+    from upright.vehicles import file as vehicle_file
 
     print_json(vehicle_file.schema())

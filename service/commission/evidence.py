@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vehicles.commissioning import CommissioningError, Number, Step
-from vehicles.sections import VehicleFile
+from upright.vehicles.commissioning import CommissioningError, Number, Step
+from upright.vehicles.sections import VehicleFile
 
 Request = dict[str, Any]
 

@@ -21,15 +21,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from service.command_line import UPRIGHT
-from service.commission.evaluations.table import evaluation
-from service.commission.evidence import Evidence, Found, Request
-from service.commission.report import write_commissioning
-from service.control import api
-from service.whole_file import write_whole
-from telemetry.errors import UprightError
-from vehicles.commissioning import CommissioningError, Entry, State, Step, Steps, is_within, latest, steps_of
-from vehicles.sections import VehicleFile
+from upright.service.command_line import UPRIGHT
+from upright.service.commission.evaluations.table import evaluation
+from upright.service.commission.evidence import Evidence, Found, Request
+from upright.service.commission.report import write_commissioning
+from upright.service.control import api
+from upright.service.whole_file import write_whole
+from upright.telemetry.errors import UprightError
+from upright.vehicles.commissioning import CommissioningError, Entry, State, Step, Steps, is_within, latest, steps_of
+from upright.vehicles.sections import VehicleFile
 
 FOLDER = "commissioning"
 """Of the files of a commissioning, in the data folder."""

@@ -9,9 +9,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from diagnosis.report.page import Provenance, render
-from vehicles.commissioning import Entry, Steps
-from vehicles.sections import VehicleFile
+from upright.diagnosis.report.page import Provenance, render
+from upright.vehicles.commissioning import Entry, Steps
+from upright.vehicles.sections import VehicleFile
 
 WORDS = {
     "accepted": "accepted",
@@ -49,7 +49,7 @@ def write_commissioning(vehicle: VehicleFile, steps: Steps, record: Sequence[Ent
         "commissioning.html",
         [],
         origin,
-        package="service.commission",
+        package="upright.service.commission",
         vehicle=vehicle.vehicle,
         began=document["began"],
         complete=document["next"] is None,

@@ -12,9 +12,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from service.control import kept
-from telemetry.errors import UprightError
-from vehicles.sections import VehicleFile
+from upright.service.control import kept
+from upright.telemetry.errors import UprightError
+from upright.vehicles.sections import VehicleFile
 
 FILE = "controller.json"
 

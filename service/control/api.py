@@ -22,8 +22,8 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from service.control.peers import FolderError, check_own
-from telemetry.errors import UprightError
+from upright.service.control.peers import FolderError, check_own
+from upright.telemetry.errors import UprightError
 
 Message = dict[str, Any]
 

@@ -12,15 +12,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from drivers.cia402.drive import Drive
-from drivers.imu import Imu
-from drivers.imu_layout import ImuConfig
-from drivers.vehicle_io import VehicleIo
-from estimators.roll_filter import RollFilter, RollFilterConfig
-from telemetry.channels import ChannelTable
-from vehicles import registry
-from vehicles.drives import drive_config
-from vehicles.sections import VehicleFile
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.imu import Imu
+from upright.drivers.imu_layout import ImuConfig
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.roll_filter import RollFilter, RollFilterConfig
+from upright.telemetry.channels import ChannelTable
+from upright.vehicles import registry
+from upright.vehicles.drives import drive_config
+from upright.vehicles.sections import VehicleFile
 
 
 @cache

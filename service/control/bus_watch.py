@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.cia402.nmt import HEARTBEAT_COB_ID
-from drivers.error_frames import decode
-from drivers.vehicle_io import LARGEST, VehicleIo
-from estimators.loss_test import SURE, LossTest
-from telemetry.samples import CanFrame
-from vehicles.bounds import Code
+from upright.drivers.cia402.nmt import HEARTBEAT_COB_ID
+from upright.drivers.error_frames import decode
+from upright.drivers.vehicle_io import LARGEST, VehicleIo
+from upright.estimators.loss_test import SURE, LossTest
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.bounds import Code
 
 MANY = 32
 """Ids of strangers that are told apart; further ones are counted together."""

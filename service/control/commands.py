@@ -25,17 +25,17 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from service.control.adopted import VEHICLE_FILE, Adopted, History
-from service.control.api import GONE, ExitCode, Message, result
-from service.control.commissioned import Record
-from service.control.lease import LOOK, Lease
-from service.control.loop import ControlLoop, Mode
-from service.control.sequence import ExperimentRun
-from service.observer.client import ObserverClient
-from service.observer.news import News
-from vehicles.commissioning import Entry
-from vehicles.phases import Phase
-from vehicles.sections import VehicleFile
+from upright.service.control.adopted import VEHICLE_FILE, Adopted, History
+from upright.service.control.api import GONE, ExitCode, Message, result
+from upright.service.control.commissioned import Record
+from upright.service.control.lease import LOOK, Lease
+from upright.service.control.loop import ControlLoop, Mode
+from upright.service.control.sequence import ExperimentRun
+from upright.service.observer.client import ObserverClient
+from upright.service.observer.news import News
+from upright.vehicles.commissioning import Entry
+from upright.vehicles.phases import Phase
+from upright.vehicles.sections import VehicleFile
 
 ADOPTED = ("source", "sha256", "values", "deviations")
 """Keys of a design in a request."""

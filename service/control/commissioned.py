@@ -13,9 +13,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from service.control import kept
-from telemetry.errors import UprightError
-from vehicles.commissioning import CommissioningError, Entry, Steps, steps_of
+from upright.service.control import kept
+from upright.telemetry.errors import UprightError
+from upright.vehicles.commissioning import CommissioningError, Entry, Steps, steps_of
 
 FILE = "commissioning.json"
 

@@ -14,26 +14,26 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.bus import Bus, BusDown, BusError, BusGroup
-from drivers.bus_lock import BusLock, lock_buses
-from drivers.canopen_link import CanopenLink
-from drivers.cia402.nmt import NmtCommand, command_frame
-from drivers.cia402.setup import DriveReport, Supervision, configure
-from drivers.imu_format import check_format
-from drivers.socketcan import start_clock
-from service.control import assembly, realtime
-from service.control.commands import Commands
-from service.control.health import HealthReports
-from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
-from service.control.mqtt_replies import MqttReplies
-from service.control.notify import Notifier
-from service.control.readiness import drive_states
-from service.control.server import ApiServer
-from service.observer.client import ObserverClient
-from service.turns import Turns
-from telemetry.errors import UprightError
-from telemetry.samples import CanFrame
-from vehicles.file import VehicleFile
+from upright.drivers.bus import Bus, BusDown, BusError, BusGroup
+from upright.drivers.bus_lock import BusLock, lock_buses
+from upright.drivers.canopen_link import CanopenLink
+from upright.drivers.cia402.nmt import NmtCommand, command_frame
+from upright.drivers.cia402.setup import DriveReport, Supervision, configure
+from upright.drivers.imu_format import check_format
+from upright.drivers.socketcan import start_clock
+from upright.service.control import assembly, realtime
+from upright.service.control.commands import Commands
+from upright.service.control.health import HealthReports
+from upright.service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
+from upright.service.control.mqtt_replies import MqttReplies
+from upright.service.control.notify import Notifier
+from upright.service.control.readiness import drive_states
+from upright.service.control.server import ApiServer
+from upright.service.observer.client import ObserverClient
+from upright.service.turns import Turns
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import VehicleFile
 
 RECONNECT_PERIOD = 0.5
 """s between attempts to reopen a bus that went down, or to set up drives that did not answer."""

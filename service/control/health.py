@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.control import assembly
-from vehicles.sections import VehicleFile
+from upright.service.control import assembly
+from upright.vehicles.sections import VehicleFile
 
 
 class HealthReports:

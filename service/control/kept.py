@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from service.whole_file import write_whole
-from telemetry.documents import from_json
+from upright.service.whole_file import write_whole
+from upright.telemetry.documents import from_json
 
 
 def read(path: Path) -> list[Any]:

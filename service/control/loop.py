@@ -18,30 +18,30 @@ from enum import StrEnum
 from itertools import compress
 from typing import Any, Protocol
 
-from drivers.bus import BusDown
-from drivers.cia402.drive import Drive
-from drivers.cia402.emergency import of_communication
-from drivers.cia402.nmt import NmtCommand, command_frame
-from drivers.foreign import REMEDY, ForeignTraffic
-from drivers.vehicle_io import VehicleIo
-from estimators.imu_consistency import ImuConsistency
-from estimators.roll_filter import RollState
-from service.control import assembly
-from service.control.bus_watch import BusWatch
-from service.control.notify import Notifier
-from service.control.readiness import heartbeat_timeout, interlocks, observation, observe, strangers
-from service.control.rows import row
-from service.control.safety import Safety
-from service.control.sequence import ExperimentRun, plan
-from service.control.stop_check import CYCLES, Stop, StopCheck
-from service.control.timing import Timing
-from telemetry.errors import UprightError
-from telemetry.samples import CanFrame, Frame, ImuSample
-from vehicles import registry
-from vehicles.bounds import OK, Code, Reaction, Verdict
-from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
-from vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
-from vehicles.sections import LoadSection, TiltSection, VehicleFile
+from upright.drivers.bus import BusDown
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.emergency import of_communication
+from upright.drivers.cia402.nmt import NmtCommand, command_frame
+from upright.drivers.foreign import REMEDY, ForeignTraffic
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.imu_consistency import ImuConsistency
+from upright.estimators.roll_filter import RollState
+from upright.service.control import assembly
+from upright.service.control.bus_watch import BusWatch
+from upright.service.control.notify import Notifier
+from upright.service.control.readiness import heartbeat_timeout, interlocks, observation, observe, strangers
+from upright.service.control.rows import row
+from upright.service.control.safety import Safety
+from upright.service.control.sequence import ExperimentRun, plan
+from upright.service.control.stop_check import CYCLES, Stop, StopCheck
+from upright.service.control.timing import Timing
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import CanFrame, Frame, ImuSample
+from upright.vehicles import registry
+from upright.vehicles.bounds import OK, Code, Reaction, Verdict
+from upright.vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
+from upright.vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
+from upright.vehicles.sections import LoadSection, TiltSection, VehicleFile
 
 SYNC = 0x080
 HEARTBEAT = 0x700

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from contextlib import aclosing
 from typing import Any
 
-from service.control.api import ExitCode, Message, result
-from service.control.commands import Commands
-from telemetry.errors import UprightError
+from upright.service.control.api import ExitCode, Message, result
+from upright.service.control.commands import Commands
+from upright.telemetry.errors import UprightError
 
 MOST_RUNNING = 16
 """Maximum number of commands that are answered concurrently. A stop always is: the gate limits their number."""

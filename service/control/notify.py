@@ -11,7 +11,7 @@ import socket
 from collections.abc import Mapping
 from typing import Self
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 _WATCHDOG = b"WATCHDOG=1"
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 _CREDENTIALS = struct.Struct("3i")
 _PEER_GROUPS = 59

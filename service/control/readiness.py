@@ -5,15 +5,15 @@ from __future__ import annotations
 from math import degrees
 from typing import Any
 
-from drivers.cia402.drive import Drive
-from drivers.cia402.states import REMOTE, VOLTAGE_ENABLED, State
-from drivers.foreign import REMEDY, ForeignTraffic
-from drivers.imu import ImuHealth
-from drivers.vehicle_io import VehicleIo
-from service.control.safety import DriveObservation, Observation
-from service.control.sequence import AT_REST_ANGLE, AT_REST_RATE
-from vehicles.contract import Kind, Lean, Measurement
-from vehicles.sections import VehicleFile
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.states import REMOTE, VOLTAGE_ENABLED, State
+from upright.drivers.foreign import REMEDY, ForeignTraffic
+from upright.drivers.imu import ImuHealth
+from upright.drivers.vehicle_io import VehicleIo
+from upright.service.control.safety import DriveObservation, Observation
+from upright.service.control.sequence import AT_REST_ANGLE, AT_REST_RATE
+from upright.vehicles.contract import Kind, Lean, Measurement
+from upright.vehicles.sections import VehicleFile
 
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 

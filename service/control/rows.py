@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from drivers.cia402.states import State
-from drivers.vehicle_io import VehicleIo
-from estimators.roll_filter import RollFilter, RollState
-from telemetry.samples import CanFrame, Frame
-from vehicles.contract import Command, Kind, Measurement
+from upright.drivers.cia402.states import State
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.roll_filter import RollFilter, RollState
+from upright.telemetry.samples import CanFrame, Frame
+from upright.vehicles.contract import Command, Kind, Measurement
 
 NAN = float("nan")
 UNKNOWN = Command(State.UNKNOWN, NAN, NAN, NAN)

@@ -36,11 +36,11 @@ from math import inf, isfinite
 from operator import attrgetter
 from typing import Any
 
-from drivers.cia402.emergency import of_communication
-from drivers.imu import ImuHealth
-from estimators.axis_consistency import AxisConsistency
-from estimators.loss_test import SURE, LossTest
-from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
+from upright.drivers.cia402.emergency import of_communication
+from upright.drivers.imu import ImuHealth
+from upright.estimators.axis_consistency import AxisConsistency
+from upright.estimators.loss_test import SURE, LossTest
+from upright.vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
 
 @dataclass(slots=True)

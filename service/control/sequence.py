@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from math import degrees
 from typing import Any
 
-from drivers.cia402.states import State
-from vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
-from vehicles.excitation import Excitation, make_excitation
-from vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
-from vehicles.sections import REST, LoadSection, TiltSection, VehicleFile
+from upright.drivers.cia402.states import State
+from upright.vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
+from upright.vehicles.excitation import Excitation, make_excitation
+from upright.vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
+from upright.vehicles.sections import REST, LoadSection, TiltSection, VehicleFile
 
 AT_REST_ANGLE = 0.0175
 """rad (1 deg): tolerance of the angle for resting on a support."""

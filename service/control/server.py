@@ -21,11 +21,11 @@ from contextlib import aclosing, suppress
 from itertools import count
 from pathlib import Path
 
-from service.control.api import GONE, ApiError, ExitCode, Message, result, temporary
-from service.control.peers import check_own, names, peer_of
-from service.turns import HANG_UP, MOST_A_TURN, READ, WRITE, Turns
-from telemetry.documents import from_json
-from telemetry.errors import UprightError
+from upright.service.control.api import GONE, ApiError, ExitCode, Message, result, temporary
+from upright.service.control.peers import check_own, names, peer_of
+from upright.service.turns import HANG_UP, MOST_A_TURN, READ, WRITE, Turns
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import UprightError
 
 MAX_LINE = 32 << 10
 """Bytes of a request."""

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
-from drivers.cia402.drive import Drive
-from drivers.cia402.nmt import NmtState
-from drivers.cia402.states import State
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.nmt import NmtState
+from upright.drivers.cia402.states import State
 
 CYCLES = 5
 """Control cycles after the quick stop within which a drive has to confirm."""

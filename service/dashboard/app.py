@@ -25,18 +25,18 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from estimators.identify.table import METHODS
-from models import library
-from models.effects.catalogue import CATALOGUE
-from models.place import places_of
-from service.control import assembly
-from service.dashboard.guard import Guard, has_token, new_token
-from service.dashboard.jobs import Jobs
-from service.dashboard.recordings import Folder, UnknownRecording, own_file
-from telemetry.documents import from_json
-from telemetry.errors import UprightError
-from vehicles import commissioning, registry
-from vehicles.file import VehicleFile
+from upright.estimators.identify.table import METHODS
+from upright.models import library
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.place import places_of
+from upright.service.control import assembly
+from upright.service.dashboard.guard import Guard, has_token, new_token
+from upright.service.dashboard.jobs import Jobs
+from upright.service.dashboard.recordings import Folder, UnknownRecording, own_file
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import UprightError
+from upright.vehicles import commissioning, registry
+from upright.vehicles.file import VehicleFile
 
 STATIC = Path(__file__).with_name("static")
 SHORTEST_REASON, LONGEST_REASON = 3, 500
@@ -151,7 +151,7 @@ class Dashboard:
         return JSONResponse({"model": await asyncio.to_thread(self._read_model)})
 
     def _read_model(self) -> dict[str, Any] | None:
-        from models.file.model_file import read
+        from upright.models.file.model_file import read
 
         if not self._model_file.is_file():
             return None

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Literal
 
-from service.command_line import UPRIGHT
-from telemetry.documents import from_json
-from telemetry.errors import UprightError
+from upright.service.command_line import UPRIGHT
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import UprightError
 
 MOST_WAITING = 4
 MOST_KEPT = 20

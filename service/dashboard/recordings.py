@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from telemetry.documents import from_json
-from telemetry.errors import RecordingError, UprightError
-from telemetry.storage import load
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import RecordingError, UprightError
+from upright.telemetry.storage import load
 
 SUFFIXES = (".arrow", ".parquet", ".csv")
 MOST_LISTED = 500

@@ -11,12 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from service.control import assembly
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import VehicleFile
-from vehicles.phases import Phase
-from vehicles.views import DARK, LIGHT, Panel, Story
+from upright.service.control import assembly
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile
+from upright.vehicles.phases import Phase
+from upright.vehicles.views import DARK, LIGHT, Panel, Story
 
 PERIOD = 0.25
 """s between two points of the estimates."""

@@ -15,16 +15,16 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from service.control import api
-from service.control.daemon import Daemon, Places
-from service.control.loop import Mode
-from service.mqtt.embedded_broker import USER, EmbeddedBroker
-from service.output import live_estimates, missing_effects, page, people
-from service.virtual.passenger import carried
-from service.virtual.serving import virtual_vehicle_beside
-from service.virtual.vehicle import usual_disturbance
-from telemetry.errors import UprightError
-from vehicles.file import VehicleFile
+from upright.service.control import api
+from upright.service.control.daemon import Daemon, Places
+from upright.service.control.loop import Mode
+from upright.service.mqtt.embedded_broker import USER, EmbeddedBroker
+from upright.service.output import live_estimates, missing_effects, page, people
+from upright.service.virtual.passenger import carried
+from upright.service.virtual.serving import virtual_vehicle_beside
+from upright.service.virtual.vehicle import usual_disturbance
+from upright.telemetry.errors import UprightError
+from upright.vehicles.file import VehicleFile
 
 BUS = "virtual:upright-demo"
 READY_TIMEOUT = 30.0
@@ -115,8 +115,8 @@ def _dashboard(vehicle: VehicleFile, places: Places, broker: EmbeddedBroker, por
     use."""
     import uvicorn
 
-    from service.dashboard.app import Dashboard, Settings
-    from service.dashboard.guard import LIMITS
+    from upright.service.dashboard.app import Dashboard, Settings
+    from upright.service.dashboard.guard import LIMITS
 
     try:
         place = socket.create_server(("127.0.0.1", port))

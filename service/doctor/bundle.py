@@ -21,12 +21,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from service.control.adopted import FILE as ADOPTED
-from service.control.commissioned import FILE as COMMISSIONED
-from service.doctor import secrets
-from service.doctor.collect import run
-from telemetry.errors import UprightError
-from vehicles.sections import VehicleFile
+from upright.service.control.adopted import FILE as ADOPTED
+from upright.service.control.commissioned import FILE as COMMISSIONED
+from upright.service.doctor import secrets
+from upright.service.doctor.collect import run
+from upright.telemetry.errors import UprightError
+from upright.vehicles.sections import VehicleFile
 
 HARMLESS = (
     "UPRIGHT_",
@@ -103,7 +103,7 @@ def known_secrets(wanted: Wanted) -> tuple[set[str], list[str]]:
     for place in Path("/proc").glob("[0-9]*/cmdline"):  # daemon, page, and whatever else of upright runs here
         with suppress(OSError):
             words = place.read_text(errors="replace").split("\0")
-            if any("upright" in word or "service.cli" in word for word in words):
+            if any("upright" in word for word in words):
                 files |= secrets.files_on(words)
     if wanted.vehicle is not None and wanted.vehicle.mqtt.password_file:
         files.add(wanted.vehicle.mqtt.password_file)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from service.doctor.facts import UNLIMITED, CanLink, Facts, NotKnown
+from upright.service.doctor.facts import UNLIMITED, CanLink, Facts, NotKnown
 
 CAN_INTERRUPT = 50
 """Real-time priority of interrupt threads on PREEMPT_RT kernels."""

@@ -22,8 +22,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-from service.control import api, assembly
-from service.doctor.facts import (
+from upright.service.control import api, assembly
+from upright.service.doctor.facts import (
     UNLIMITED,
     Access,
     Broker,
@@ -39,11 +39,11 @@ from service.doctor.facts import (
     Unit,
     Vehicle,
 )
-from service.mqtt.client import MqttConfig, MqttConfigError
-from service.observer.storage_check import obstacle
-from telemetry.errors import UprightError
-from vehicles.file import load, shipped, shipped_file
-from vehicles.sections import VehicleFile
+from upright.service.mqtt.client import MqttConfig, MqttConfigError
+from upright.service.observer.storage_check import obstacle
+from upright.telemetry.errors import UprightError
+from upright.vehicles.file import load, shipped, shipped_file
+from upright.vehicles.sections import VehicleFile
 
 INSTALLED = Path("/etc/upright/vehicle.toml")
 """The vehicle file of the service."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from service.hidden_effects.cases import Case, references
-from service.hidden_effects.results import trials as results
-from service.hidden_effects.spread import Spread
-from service.hidden_effects.trial import DETECTABLE, Bench, Line
+from upright.service.hidden_effects.cases import Case, references
+from upright.service.hidden_effects.results import trials as results
+from upright.service.hidden_effects.spread import Spread
+from upright.service.hidden_effects.trial import DETECTABLE, Bench, Line
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished cases and of all cases."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
 
-from models.effects.catalogue import CATALOGUE
-from simulation.monocab.hidden import HIDDEN, UNLISTED
-from simulation.registry import UnknownEffectError
+from upright.models.effects.catalogue import CATALOGUE
+from upright.simulation.monocab.hidden import HIDDEN, UNLISTED
+from upright.simulation.registry import UnknownEffectError
 
 
 class Kind(StrEnum):

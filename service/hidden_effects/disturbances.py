@@ -20,9 +20,9 @@ from typing import Protocol
 
 import numpy as np
 
-from simulation.config import ImuNode, Truth
-from simulation.disturbance import Disturbance
-from vehicles import registry
+from upright.simulation.config import ImuNode, Truth
+from upright.simulation.disturbance import Disturbance
+from upright.vehicles import registry
 
 NONE = "none"
 """The entry for records without a disturbance."""

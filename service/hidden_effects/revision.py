@@ -18,12 +18,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.gauss_newton import minimise
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import problem
-from estimators.fit.released import released
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.fit.gauss_newton import minimise
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.fit.released import released
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

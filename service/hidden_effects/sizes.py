@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from models.model import Model
-from service.hidden_effects.cases import Case
-from simulation.monocab.hidden import HIDDEN, UNLISTED
-from telemetry.errors import UprightError
+from upright.models.model import Model
+from upright.service.hidden_effects.cases import Case
+from upright.simulation.monocab.hidden import HIDDEN, UNLISTED
+from upright.telemetry.errors import UprightError
 
 SAME_EQUATION = {
     "static_torque": "torque",
@@ -76,7 +76,7 @@ def right_model(model: Model, given: Mapping[str, float], event: float) -> Model
 
     Effects outside the catalogue are taken from `unlisted`.
     """
-    from service.hidden_effects.unlisted import UNLISTED_EFFECTS
+    from upright.service.hidden_effects.unlisted import UNLISTED_EFFECTS
 
     sizes = plant_sizes(given)
     for name in given:

@@ -15,11 +15,11 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 from uuid import uuid4
 
-from service.hidden_effects import trial
-from service.hidden_effects.cases import Case
-from service.hidden_effects.results.trials import failed
-from service.hidden_effects.trial import Bench, Line
-from telemetry.errors import UprightError
+from upright.service.hidden_effects import trial
+from upright.service.hidden_effects.cases import Case
+from upright.service.hidden_effects.results.trials import failed
+from upright.service.hidden_effects.trial import Bench, Line
+from upright.telemetry.errors import UprightError
 
 TRIES = 3
 """Maximum number of starts of a case whose worker dies."""

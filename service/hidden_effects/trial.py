@@ -11,22 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from models.effect import Effect
-from models.effects.catalogue import CATALOGUE
-from models.library import get
-from models.model import Model
-from service.hidden_effects.cases import Case, Kind
-from service.hidden_effects.disturbances import Disturbances, sensor_floor
-from service.hidden_effects.methods.answers import Answer, Method, diagnosis
-from service.hidden_effects.revision import Yardstick, closed, fitted
-from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
-from service.hidden_effects.unlisted import UNLISTED_EFFECTS
-from service.hidden_effects.vehicles import Vehicle, drawn
-from simulation.config import EVENT_TIME, ImuNode, SimulationConfig
-from simulation.disturbance import Disturbance
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from vehicles.file import load
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.library import get
+from upright.models.model import Model
+from upright.service.hidden_effects.cases import Case, Kind
+from upright.service.hidden_effects.disturbances import Disturbances, sensor_floor
+from upright.service.hidden_effects.methods.answers import Answer, Method, diagnosis
+from upright.service.hidden_effects.revision import Yardstick, closed, fitted
+from upright.service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
+from upright.service.hidden_effects.unlisted import UNLISTED_EFFECTS
+from upright.service.hidden_effects.vehicles import Vehicle, drawn
+from upright.simulation.config import EVENT_TIME, ImuNode, SimulationConfig
+from upright.simulation.disturbance import Disturbance
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
 
 Record = Callable[[str, Mapping[str, float], float, float, int, Vehicle, Disturbance | None], Recording]
 """Makes a record from excitation, levels of the hidden effects, noise, duration in s, seed, vehicle and random
@@ -51,7 +51,7 @@ def virtual(
     disturbance: Disturbance | None = None,
 ) -> Recording:
     """A record of the virtual MONOCAB; its IMU has `noise` times the noise of the data sheet."""
-    from service.virtual.run import record
+    from upright.service.virtual.run import record
 
     def configured(configuration: SimulationConfig) -> SimulationConfig:
         louder = noisy(configuration.imu, noise)
@@ -95,7 +95,7 @@ class Bench:
     @property
     def nominal(self) -> Model:
         """The model that lacks the hidden effects, with the vehicle file's values."""
-        from estimators.identify.run import with_values
+        from upright.estimators.identify.run import with_values
 
         parameters = load("monocab").parameters
         return with_values(get(self.model), parameters.values, parameters.deviations)
@@ -303,8 +303,8 @@ class _Judge:
 
 def _event(recording: Recording) -> float:
     """Time of the plant's torque step, s from the first sample on; it is fixed relative to the first SYNC."""
-    from service.virtual.run import BOOT_TIME
-    from simulation.vehicle import START_NS
+    from upright.service.virtual.run import BOOT_TIME
+    from upright.simulation.vehicle import START_NS
 
     begin = (int(recording.metadata.get("start_ns", START_NS)) - START_NS) * 1e-9
     return BOOT_TIME + EVENT_TIME - begin

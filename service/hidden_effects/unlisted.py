@@ -7,9 +7,9 @@ diagnosis that has to find a missing effect.
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family
-from models.effects.catalogue import CATALOGUE
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, Family
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.parts import Place
 
 
 def _torque(name: str, title: str, unit: str, scale: str, shape: str, cosine: str = "") -> Effect:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.library import get
-from simulation.config import SimulationConfig
-from simulation.monocab.truth import PlantTruth
-from vehicles.file import VehicleFile, load
+from upright.models.library import get
+from upright.simulation.config import SimulationConfig
+from upright.simulation.monocab.truth import PlantTruth
+from upright.vehicles.file import VehicleFile, load
 
 LATENCY = 0.006
 """Latency of the IMU in the vehicle file, s: it exceeds the maximum deviation, since a true latency is not negative."""

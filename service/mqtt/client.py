@@ -21,7 +21,7 @@ from typing import Any
 
 import aiomqtt
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 FIRST_RETRY, LONGEST_RETRY = 0.25, 10.0
 """s before the first and between later attempts to reach the broker; doubled each time."""

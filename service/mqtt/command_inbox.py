@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-from service.mqtt.commands import CommandGate, Passed
+from upright.service.mqtt.commands import CommandGate, Passed
 
 MOST_REPLIES = 64
 """Number of replies that are kept for repetitions."""

@@ -17,8 +17,8 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from service.mqtt.topics import ARGUMENTS, Command, User
-from telemetry.documents import from_json
+from upright.service.mqtt.topics import ARGUMENTS, Command, User
+from upright.telemetry.documents import from_json
 
 LARGEST = 4096
 """Maximum size of a command, bytes."""

@@ -16,9 +16,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
-from estimators.contract import Status
-from estimators.parting import partings
-from telemetry.samples import Frame
+from upright.estimators.contract import Status
+from upright.estimators.parting import partings
+from upright.telemetry.samples import Frame
 
 LONGEST_STEP = 1.5
 """Maximum periods between samples of a batch; after a gap a new batch begins, since its samples share one `dt`."""

@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from service.beside import beside
-from service.mqtt.client import MqttConfig, MqttPublisher
-from service.mqtt.command_inbox import CommandInbox
+from upright.service.beside import beside
+from upright.service.mqtt.client import MqttConfig, MqttPublisher
+from upright.service.mqtt.command_inbox import CommandInbox
 
 
 class MqttThread:

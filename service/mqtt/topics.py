@@ -1,6 +1,6 @@
 """The payloads of all MQTT topics as pydantic models, from which the schemas in docs/reference/mqtt are generated.
 
-    python -m service.mqtt.topics FOLDER     writes the schemas
+    python -m upright.service.mqtt.topics FOLDER     writes the schemas
 
 Other modules build the messages of this service without pydantic, as there are many per second; tests check them
 against these models. Commands come from other programs and are checked with these models at run time.

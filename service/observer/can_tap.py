@@ -9,9 +9,9 @@ import contextlib
 import socket
 from dataclasses import dataclass
 
-from drivers.frame_clock import FrameClock
-from drivers.socketcan import SocketcanPort
-from telemetry.samples import CanFrame
+from upright.drivers.frame_clock import FrameClock
+from upright.drivers.socketcan import SocketcanPort
+from upright.telemetry.samples import CanFrame
 
 RECEIVE_BUFFER = 4 << 20
 """Bytes requested; without privileges the kernel grants what net.core.rmem_max allows, usually some 500 frames."""

@@ -16,12 +16,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from service.observer import link
-from service.observer.pipe import ObserverPipe, PipeStatistics
-from service.observer.raw_log_client import RawLogProcess
-from service.turns import Turns
-from telemetry.samples import CanFrame, Frame
-from vehicles import registry
+from upright.service.observer import link
+from upright.service.observer.pipe import ObserverPipe, PipeStatistics
+from upright.service.observer.raw_log_client import RawLogProcess
+from upright.service.turns import Turns
+from upright.telemetry.samples import CanFrame, Frame
+from upright.vehicles import registry
 
 ORDERS = ("start_recording", "stop_recording")
 """Messages that must not be lost."""
@@ -111,7 +111,7 @@ class ObserverClient:
             return
         self._report = {}
         own, other = link.pair()
-        command = [sys.executable, "-P", "-m", "service.observer.process", str(other.fileno())]
+        command = [sys.executable, "-P", "-m", "upright.service.observer.process", str(other.fileno())]
         with other:
             self._process = await asyncio.create_subprocess_exec(
                 *command, pass_fds=(other.fileno(),), stdin=DEVNULL, stdout=DEVNULL, start_new_session=True

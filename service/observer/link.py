@@ -13,7 +13,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from telemetry.samples import CanFrame, Frame
+from upright.telemetry.samples import CanFrame, Frame
 
 FRAMES = b"F"
 CAN_FRAMES = b"C"

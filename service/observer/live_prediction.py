@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.problem import Problem
-from estimators.identify.run import with_values
-from estimators.recursive.frame_chunks import Chunk, FrameChunks
-from estimators.recursive.prediction_error import at_rest
-from estimators.recursive.predictor import measured_state
-from telemetry.channels import ChannelTable
-from telemetry.samples import Frame
-from vehicles.registry import nominal_model
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.problem import Problem
+from upright.estimators.identify.run import with_values
+from upright.estimators.recursive.frame_chunks import Chunk, FrameChunks
+from upright.estimators.recursive.prediction_error import at_rest
+from upright.estimators.recursive.predictor import measured_state
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Frame
+from upright.vehicles.registry import nominal_model
 
 Array = NDArray[np.float64]
 

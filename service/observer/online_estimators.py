@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from estimators.contract import Estimator
-from telemetry.samples import Frame
-from vehicles import registry
-from vehicles.load import asked_for
+from upright.estimators.contract import Estimator
+from upright.telemetry.samples import Frame
+from upright.vehicles import registry
+from upright.vehicles.load import asked_for
 
 if TYPE_CHECKING:
-    from diagnosis.live.live import LiveDiagnosis
+    from upright.diagnosis.live.live import LiveDiagnosis
 
 Made = TypeVar("Made")
 
@@ -54,7 +54,7 @@ def online_estimators(
 def _simulation(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> Estimator:
-    from estimators.recursive.prediction_error import Method, RecursivePredictionError
+    from upright.estimators.recursive.prediction_error import Method, RecursivePredictionError
 
     return RecursivePredictionError(
         registry.nominal_model(kind),
@@ -69,7 +69,7 @@ def _simulation(
 def _live_diagnosis(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> LiveDiagnosis:
-    from diagnosis.live.live import LiveDiagnosis
+    from upright.diagnosis.live.live import LiveDiagnosis
 
     return LiveDiagnosis(
         registry.nominal_model(kind),

@@ -15,9 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from service.observer import link
-from service.turns import READ, Turns
-from telemetry.samples import CanFrame, Frame
+from upright.service.observer import link
+from upright.service.turns import READ, Turns
+from upright.telemetry.samples import CanFrame, Frame
 
 BATCH_NS = 20_000_000
 """Time span of a batch, by the data's clock."""

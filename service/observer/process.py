@@ -1,6 +1,6 @@
 """The observer process: recorder, online estimators, live diagnosis and MQTT, fed by the control process.
 
-    python -m service.observer.process SOCKET_FD
+    python -m upright.service.observer.process SOCKET_FD
 
 Its pipe delivers `hello` first (`service.control.assembly.observer_hello`), then cycles and orders. When the pipe ends,
 whether control closed it or died, the process finishes a running recording, publishes `offline`, and exits. The
@@ -25,25 +25,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.beside import beside
-from service.journal import EVENTS, LEVELS, log_as
-from service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
-from service.mqtt.home_assistant import discovery
-from service.mqtt.payloads import TelemetryBatches, methods, parameters
-from service.mqtt.thread import MqttThread
-from service.observer import link
-from service.observer.cpus import leave_to_control
-from service.observer.live_prediction import LivePrediction, live_prediction
-from service.observer.news import News
-from service.observer.online_estimators import EstimatorBank, online_estimators
-from service.observer.recorder import Recorder
-from service.observer.storage_check import obstacle
-from telemetry.errors import UprightError
-from telemetry.samples import CanFrame, Frame
-from vehicles import registry
+from upright.service.beside import beside
+from upright.service.journal import EVENTS, LEVELS, log_as
+from upright.service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
+from upright.service.mqtt.home_assistant import discovery
+from upright.service.mqtt.payloads import TelemetryBatches, methods, parameters
+from upright.service.mqtt.thread import MqttThread
+from upright.service.observer import link
+from upright.service.observer.cpus import leave_to_control
+from upright.service.observer.live_prediction import LivePrediction, live_prediction
+from upright.service.observer.news import News
+from upright.service.observer.online_estimators import EstimatorBank, online_estimators
+from upright.service.observer.recorder import Recorder
+from upright.service.observer.storage_check import obstacle
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import CanFrame, Frame
+from upright.vehicles import registry
 
 if TYPE_CHECKING:
-    from service.observer.metrics import Metrics
+    from upright.service.observer.metrics import Metrics
 
 NICENESS = 5
 
@@ -354,7 +354,7 @@ class Observer:
                 self._event("warning", "missing_effect", text)
 
     def _serve_metrics(self, hello: Mapping[str, Any]) -> None:
-        from service.observer.metrics import Metrics, MetricsServer  # an HTTP server, which most do not need
+        from upright.service.observer.metrics import Metrics, MetricsServer  # an HTTP server, which most do not need
 
         self._metrics = Metrics(hello["vehicle"], hello["version"])
         try:

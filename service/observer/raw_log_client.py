@@ -29,7 +29,7 @@ class RawLogProcess:
         self._stopping = False
         self._heard = b""
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "service.observer.raw_log", *channels, *base],
+            [sys.executable, "-P", "-m", "upright.service.observer.raw_log", *channels, *base],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

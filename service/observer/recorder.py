@@ -17,11 +17,11 @@ from typing import IO, Any
 
 import numpy as np
 
-from service.whole_file import write_whole
-from telemetry.arrow_file import ArrowStreamWriter
-from telemetry.candump import format_frames
-from telemetry.channels import ChannelTable
-from telemetry.samples import CanFrame, Frame
+from upright.service.whole_file import write_whole
+from upright.telemetry.arrow_file import ArrowStreamWriter
+from upright.telemetry.candump import format_frames
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import CanFrame, Frame
 
 NEVER_NS = 1 << 62
 

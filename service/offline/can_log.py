@@ -16,11 +16,11 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from drivers.vehicle_io import VehicleIo
-from telemetry.candump import CandumpReader, Skipped, open_text, parse_line
-from telemetry.errors import RecordingError
-from telemetry.samples import CanFrame
-from vehicles.sections import VehicleFile
+from upright.drivers.vehicle_io import VehicleIo
+from upright.telemetry.candump import CandumpReader, Skipped, open_text, parse_line
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
     import can
@@ -63,7 +63,7 @@ def open_log(path: Path) -> CanLog:
         raise _unreadable(path, error) from error
     if kind in ("", CANDUMP):
         return CandumpReader(path)
-    from service.offline.can_readers import READERS
+    from upright.service.offline.can_readers import READERS
 
     return MessageLog(path, READERS[kind])
 
@@ -78,7 +78,7 @@ def is_can_log(path: Path) -> bool:
     except OSError:
         kind = ""
     if kind == "mf4":
-        from service.offline.can_readers import has_bus_events
+        from upright.service.offline.can_readers import has_bus_events
 
         with _quiet():
             return has_bus_events(path)

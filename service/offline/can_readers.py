@@ -15,9 +15,9 @@ from typing import Any
 import can
 import numpy as np
 
-from telemetry.candump import Skipped, open_text
-from telemetry.errors import RecordingError
-from telemetry.formats.files import missing, quiet
+from upright.telemetry.candump import Skipped, open_text
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.files import missing, quiet
 
 HEAD = 4096
 """Characters at the beginning of a file in which its header is."""

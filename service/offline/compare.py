@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from diagnosis.prediction.compare import Comparison, compare
-from models.model import Model
-from service.offline.machine import loops_of, support_of
-from service.offline.question import asked_of
-from telemetry.recording import Recording
-from vehicles.load import with_load
-from vehicles.sections import VehicleFile
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.models.model import Model
+from upright.service.offline.machine import loops_of, support_of
+from upright.service.offline.question import asked_of
+from upright.telemetry.recording import Recording
+from upright.vehicles.load import with_load
+from upright.vehicles.sections import VehicleFile
 
 
 def compared(

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.offline.can_log import CanLog
-from telemetry.channels import Channel, ChannelTable
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame
-from telemetry.tables.units import Unit, unit_of
+from upright.service.offline.can_log import CanLog
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame
+from upright.telemetry.tables.units import Unit, unit_of
 
 OTHERS = (".kcd", ".sym", ".arxml")
 """Suffixes of other formats that cantools reads as well."""

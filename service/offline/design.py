@@ -17,21 +17,21 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from diagnosis.prediction.closed_loop import Course, Experiment, causal, simulate
-from models.control_robustness import CheckedDesign, Known
-from models.file.model_file import load_model
-from models.linear_effects import LinearEffects
-from models.model import Model
-from models.parts import Parameter
-from service.offline.models import identified_model
-from service.offline.next_experiment import require_predictable
-from telemetry.documents import from_json
-from telemetry.errors import UprightError
-from vehicles import registry
-from vehicles.excitation import ExcitationError
-from vehicles.file import VehicleFile
-from vehicles.load import loaded
-from vehicles.sections import REST
+from upright.diagnosis.prediction.closed_loop import Course, Experiment, causal, simulate
+from upright.models.control_robustness import CheckedDesign, Known
+from upright.models.file.model_file import load_model
+from upright.models.linear_effects import LinearEffects
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.service.offline.models import identified_model
+from upright.service.offline.next_experiment import require_predictable
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import UprightError
+from upright.vehicles import registry
+from upright.vehicles.excitation import ExcitationError
+from upright.vehicles.file import VehicleFile
+from upright.vehicles.load import loaded
+from upright.vehicles.sections import REST
 
 INDEPENDENT = "a model file, as if they were independent"
 METHODS = "the method {0}, with the correlation of its estimates"

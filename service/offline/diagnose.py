@@ -15,24 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
-from diagnosis.parts import diagnose_parts
-from diagnosis.prepare.actuator_samples import looked_at
-from diagnosis.report import Provenance, write_report
-from estimators.budget import Budget, OutOfTime
-from estimators.contract import EstimationError
-from models.effect import Effect
-from models.model import Model
-from service.offline.machine import is_of, loops_of, support_of
-from service.offline.models import identified_model
-from service.offline.next_experiment import suggest_for
-from service.offline.question import asked_of
-from service.offline.replay import live_diagnosis
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import VehicleFile
-from vehicles.load import refuse_loads, with_load
+from upright.diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
+from upright.diagnosis.parts import diagnose_parts
+from upright.diagnosis.prepare.actuator_samples import looked_at
+from upright.diagnosis.report import Provenance, write_report
+from upright.estimators.budget import Budget, OutOfTime
+from upright.estimators.contract import EstimationError
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.service.offline.machine import is_of, loops_of, support_of
+from upright.service.offline.models import identified_model
+from upright.service.offline.next_experiment import suggest_for
+from upright.service.offline.question import asked_of
+from upright.service.offline.replay import live_diagnosis
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile
+from upright.vehicles.load import refuse_loads, with_load
 
 BUDGET, ROWS = 60.0, 12_000
 """Default time limit, s, of a diagnosis of so many samples; proportionally more for more samples."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from telemetry.formats.files import missing
-from telemetry.recording import Recording
+from upright.telemetry.formats.files import missing
+from upright.telemetry.recording import Recording
 
 SUFFIXES = (".mat", ".mf4", ".mcap")
 

@@ -9,19 +9,19 @@ from math import tau
 from pathlib import Path
 from typing import Any
 
-from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report import Provenance, write_identification
-from estimators.identify.run import Progress, identify
-from estimators.identify.subject import NOTHING_OWN
-from models.model import Model
-from service.offline.machine import is_of, loops_of, support_of
-from service.offline.models import identified_model
-from service.offline.question import asked_of
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.load import refuse_loads
-from vehicles.sections import VehicleFile
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.diagnosis.report import Provenance, write_identification
+from upright.estimators.identify.run import Progress, identify
+from upright.estimators.identify.subject import NOTHING_OWN
+from upright.models.model import Model
+from upright.service.offline.machine import is_of, loops_of, support_of
+from upright.service.offline.models import identified_model
+from upright.service.offline.question import asked_of
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.load import refuse_loads
+from upright.vehicles.sections import VehicleFile
 
 
 @dataclass(frozen=True, slots=True)

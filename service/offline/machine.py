@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from estimators.contract import EstimationError
-from models.model import Model
-from telemetry.channels import COMMON
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import names, nominal_model, of, recorded_loop
-from vehicles.sections import VehicleFile
+from upright.estimators.contract import EstimationError
+from upright.models.model import Model
+from upright.telemetry.channels import COMMON
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import names, nominal_model, of, recorded_loop
+from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.closed_loop_error import Loop
+    from upright.diagnosis.prediction.closed_loop_error import Loop
 
 
 def vehicle_of(recordings: Sequence[Recording]) -> VehicleFile | None:

@@ -13,20 +13,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.effect import Effect
-from models.file.allowed_code import sha256
-from models.file.document import ModelFile
-from models.file.history import values_of
-from models.file.model_file import read, write
-from models.model import Model
-from models.parts import ModelError
-from service.offline.models import SUFFIXES, chosen_effect, identified_model
-from vehicles.load import without_load
-from vehicles.sections import VehicleFile
+from upright.models.effect import Effect
+from upright.models.file.allowed_code import sha256
+from upright.models.file.document import ModelFile
+from upright.models.file.history import values_of
+from upright.models.file.model_file import read, write
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.offline.models import SUFFIXES, chosen_effect, identified_model
+from upright.vehicles.load import without_load
+from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
-    from diagnosis.diagnose import Diagnosis
-    from service.offline.identify import Identified
+    from upright.diagnosis.diagnose import Diagnosis
+    from upright.service.offline.identify import Identified
 
 
 def started(given: str | Path | Model | None, vehicle: VehicleFile | None = None) -> ModelFile:

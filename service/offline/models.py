@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from estimators.contract import EstimationError
-from estimators.identify.run import with_values
-from models.effect import Effect
-from models.effects.catalogue import CATALOGUE, find
-from models.file.effect_rules import validate
-from models.file.model_file import load_model, read
-from models.file.own_effects import load_effect
-from models.model import Model
-from models.parts import ModelError
-from service.offline.machine import is_of
-from telemetry.errors import RecordingError
-from telemetry.tables.mapping import Source, columns_of
-from vehicles.registry import nominal_model
-from vehicles.sections import VehicleFile
+from upright.estimators.contract import EstimationError
+from upright.estimators.identify.run import with_values
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import CATALOGUE, find
+from upright.models.file.effect_rules import validate
+from upright.models.file.model_file import load_model, read
+from upright.models.file.own_effects import load_effect
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.offline.machine import is_of
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.tables.mapping import Source, columns_of
+from upright.vehicles.registry import nominal_model
+from upright.vehicles.sections import VehicleFile
 
 CAD = "CAD"
 """The name of the vehicle's own model with the values of the vehicle file, where models are compared."""

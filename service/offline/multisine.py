@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.information import information, predicted_information
-from diagnosis.prediction.closed_loop import Controller, Experiment, causal, simulate
-from diagnosis.prediction.line_spectrum import Lines, phases, power
-from estimators.contract import EstimationError
-from models.model import Model
-from models.segment import Segment
-from service.offline.next_experiment import require_predictable
-from telemetry.errors import UprightError
-from vehicles import registry
-from vehicles.excitation import ExcitationError, Multisine, make_excitation
-from vehicles.file import VehicleFile
-from vehicles.sections import REST, ExperimentSection, is_reference
+from upright.diagnosis.information import information, predicted_information
+from upright.diagnosis.prediction.closed_loop import Controller, Experiment, causal, simulate
+from upright.diagnosis.prediction.line_spectrum import Lines, phases, power
+from upright.estimators.contract import EstimationError
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.service.offline.next_experiment import require_predictable
+from upright.telemetry.errors import UprightError
+from upright.vehicles import registry
+from upright.vehicles.excitation import ExcitationError, Multisine, make_excitation
+from upright.vehicles.file import VehicleFile
+from upright.vehicles.sections import REST, ExperimentSection, is_reference
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -10,19 +10,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from diagnosis.diagnose import Diagnosis, Verdict
-from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
-from diagnosis.prediction.closed_loop import Experiment, simulate
-from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
-from diagnosis.trial import FAILURES
-from estimators.budget import UNLIMITED, Budget, OutOfTime
-from models.model import Model
-from models.parts import ModelError
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.excitation import ExcitationError
-from vehicles.sections import REST, VehicleFile
+from upright.diagnosis.diagnose import Diagnosis, Verdict
+from upright.diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
+from upright.diagnosis.prediction.closed_loop import Experiment, simulate
+from upright.diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
+from upright.diagnosis.trial import FAILURES
+from upright.estimators.budget import UNLIMITED, Budget, OutOfTime
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.excitation import ExcitationError
+from upright.vehicles.sections import REST, VehicleFile
 
 SMALL = 0.03
 """Share of its typical size with which an effect is simulated to find its minimum detectable size."""

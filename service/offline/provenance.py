@@ -8,8 +8,8 @@ from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 
-from diagnosis.report import Provenance
-from telemetry.recording import Recording
+from upright.diagnosis.report import Provenance
+from upright.telemetry.recording import Recording
 
 
 def provenance(vehicle: str, recordings: Sequence[Path], read: Sequence[Recording] = ()) -> Provenance:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimators.data.segments import DataError
-from estimators.readings.question import question
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.data.segments import DataError
+from upright.estimators.readings.question import question
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 
 def asked_of(model: Model, recordings: Sequence[Recording], support: float | None) -> DataError | None:

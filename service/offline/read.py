@@ -9,15 +9,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from telemetry import storage
-from telemetry.clock import with_regular_times
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.tables.mapping import NOTHING, Said
+from upright.telemetry import storage
+from upright.telemetry.clock import with_regular_times
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.tables.mapping import NOTHING, Said
 
 if TYPE_CHECKING:
-    from models.model import Model
-    from vehicles.sections import VehicleFile
+    from upright.models.model import Model
+    from upright.vehicles.sections import VehicleFile
 
 
 def read(
@@ -56,7 +56,7 @@ def _loaded(
     path: Path, vehicle: VehicleFile | None, models: Sequence[Model] | None, user: Said, database: Path | None
 ) -> Sequence[Recording]:
     if vehicle is not None:
-        from service.offline.replay import load_all
+        from upright.service.offline.replay import load_all
 
         return load_all(path, vehicle, models, user, database)
     if _is_can_log(path):
@@ -64,13 +64,13 @@ def _loaded(
         raise RecordingError(str(path), "", "is a CAN log, which only a vehicle file explains", remedy=remedy)
     if not models:
         return storage.load_all(path, user=user)
-    from service.offline.wanted import wanted
+    from upright.service.offline.wanted import wanted
 
     return storage.load_all(path, wanted(models), user)
 
 
 def _is_can_log(path: Path) -> bool:
-    from service.offline.can_log import is_can_log
+    from upright.service.offline.can_log import is_can_log
 
     return is_can_log(path)
 
@@ -79,9 +79,9 @@ def _fall(recording: Recording, vehicle: VehicleFile | None, models: Sequence[Mo
     """A sentence about the fall of the vehicle; "" if it did not fall, or if the recording is of another machine."""
     if vehicle is None:
         return ""
-    from estimators.data.segments import falls_at
-    from service.offline.machine import is_of
-    from vehicles.registry import nominal_model
+    from upright.estimators.data.segments import falls_at
+    from upright.service.offline.machine import is_of
+    from upright.vehicles.registry import nominal_model
 
     if models is not None and not any(is_of(each, vehicle) for each in models):
         return ""

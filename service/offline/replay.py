@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from estimators.budget import UNLIMITED, Budget
-from models.model import Model
-from service.control import assembly
-from service.control.rows import rows_from_frames
-from service.observer.online_estimators import EstimatorBank, online_estimators
-from service.offline import can_log, export
-from service.offline.machine import is_of, refuse_foreign
-from service.offline.wanted import wanted
-from telemetry import storage
-from telemetry.channels import ChannelTable
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.tables.mapping import NOTHING, Said, columns_of
-from vehicles import registry
-from vehicles.file import VehicleFile
+from upright.estimators.budget import UNLIMITED, Budget
+from upright.models.model import Model
+from upright.service.control import assembly
+from upright.service.control.rows import rows_from_frames
+from upright.service.observer.online_estimators import EstimatorBank, online_estimators
+from upright.service.offline import can_log, export
+from upright.service.offline.machine import is_of, refuse_foreign
+from upright.service.offline.wanted import wanted
+from upright.telemetry import storage
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.tables.mapping import NOTHING, Said, columns_of
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile
 
 AGE = "drive_age"
 """The channels after this one, reference, excitation and phase, were never on the bus."""
@@ -63,7 +63,7 @@ def load_all(
         RecordingError: the file cannot be read, contains no frames of this vehicle, or is of another machine.
     """
     if database is not None:
-        from service.offline.dbc import signals
+        from upright.service.offline.dbc import signals
 
         return (signals(can_log.open_log(path), database, path),)
     if can_log.is_can_log(path):

@@ -8,11 +8,11 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from diagnosis.diagnose import Diagnosis
-from models.file.document import ModelFile
-from models.model import Model
-from service.offline.model_files import revised, save
-from service.whole_file import write_whole
+from upright.diagnosis.diagnose import Diagnosis
+from upright.models.file.document import ModelFile
+from upright.models.model import Model
+from upright.service.offline.model_files import revised, save
+from upright.service.whole_file import write_whole
 
 
 def write_trail(

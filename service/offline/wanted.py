@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from models.model import Model
-from models.parts import Hold
-from service.control import assembly
-from telemetry.tables.wanted import Wanted
-from vehicles.file import VehicleFile
+from upright.models.model import Model
+from upright.models.parts import Hold
+from upright.service.control import assembly
+from upright.telemetry.tables.wanted import Wanted
+from upright.vehicles.file import VehicleFile
 
 
 def wanted(models: Sequence[Model], vehicle: VehicleFile | None = None) -> tuple[Wanted, ...]:

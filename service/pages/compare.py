@@ -11,11 +11,11 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from diagnosis.report.sentences import disturbance_text
-from service.output import page
+from upright.diagnosis.report.sentences import disturbance_text
+from upright.service.output import page
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.compare import Comparison
+    from upright.diagnosis.prediction.compare import Comparison
 
 
 def print_comparisons(comparisons: Sequence[Comparison], title: str, to: Console = page) -> None:

@@ -9,10 +9,10 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.report.sentences import disturbance_sentences, mattering, negligible, untried_sentence
-from diagnosis.report.words import headline
-from service.output import page
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
+from upright.diagnosis.report.sentences import disturbance_sentences, mattering, negligible, untried_sentence
+from upright.diagnosis.report.words import headline
+from upright.service.output import page
 
 COLOURS = {"adequate": "green", "missing_effect": "yellow", "unknown": "red", "insufficient_data": "red"}
 """Colour of a headline, by its kind."""

@@ -10,8 +10,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from estimators.identify.document import CANCELLED
-from estimators.identify.rows import (
+from upright.estimators.identify.document import CANCELLED
+from upright.estimators.identify.rows import (
     Columns,
     disturbances,
     joint_columns,
@@ -21,8 +21,8 @@ from estimators.identify.rows import (
     sentence,
     value_text,
 )
-from estimators.identify.table import Domain
-from service.output import page
+from upright.estimators.identify.table import Domain
+from upright.service.output import page
 
 GAP = 1
 

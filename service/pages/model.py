@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from models.model import Model
-from models.parts import Hold, Parameter
-from models.rendering import text
-from service.output import page
+from upright.models.model import Model
+from upright.models.parts import Hold, Parameter
+from upright.models.rendering import text
+from upright.service.output import page
 
 WIDE = 110
 """Columns that a table of parameters with their meaning needs."""

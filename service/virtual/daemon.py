@@ -8,16 +8,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-from service.control.daemon import Daemon, Places
-from service.control.loop import Mode
-from service.virtual.passenger import carried
-from service.virtual.serving import virtual_vehicle_beside
-from simulation.config import SimulationConfig
-from simulation.disturbance import Disturbance
-from simulation.faults import Fault
-from simulation.load import Load, Tilt
-from simulation.vehicle import VirtualVehicle
-from vehicles.sections import VehicleFile
+from upright.service.control.daemon import Daemon, Places
+from upright.service.control.loop import Mode
+from upright.service.virtual.passenger import carried
+from upright.service.virtual.serving import virtual_vehicle_beside
+from upright.simulation.config import SimulationConfig
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.faults import Fault
+from upright.simulation.load import Load, Tilt
+from upright.simulation.vehicle import VirtualVehicle
+from upright.vehicles.sections import VehicleFile
 
 READY_TIMEOUT = 30.0
 """s for the drives to be set up and the roll filter to settle. What is not ready then, an interlock names."""

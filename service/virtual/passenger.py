@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.control import api
-from simulation.load import Load, Tilt
-from vehicles.sections import LoadSection, TiltSection
+from upright.service.control import api
+from upright.simulation.load import Load, Tilt
+from upright.vehicles.sections import LoadSection, TiltSection
 
 LOOK = 0.2
 """s between two looks at the daemon's state."""

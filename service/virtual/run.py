@@ -18,20 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from drivers.cia402.nmt import NmtCommand, command_frame
-from service.control import assembly
-from service.control.loop import ControlLoop, Mode
-from service.control.notify import Notifier
-from service.virtual import vehicle as virtual_vehicle
-from service.virtual.passenger import carried
-from simulation.config import SimulationConfig
-from simulation.faults import parse_faults
-from simulation.vehicle import VirtualVehicle
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame, Frame
-from vehicles.file import VehicleFile, load
-from vehicles.phases import DURATIONS, TIMEOUTS
+from upright.drivers.cia402.nmt import NmtCommand, command_frame
+from upright.service.control import assembly
+from upright.service.control.loop import ControlLoop, Mode
+from upright.service.control.notify import Notifier
+from upright.service.virtual import vehicle as virtual_vehicle
+from upright.service.virtual.passenger import carried
+from upright.simulation.config import SimulationConfig
+from upright.simulation.faults import parse_faults
+from upright.simulation.vehicle import VirtualVehicle
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame, Frame
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.phases import DURATIONS, TIMEOUTS
 
 Configure = Callable[[SimulationConfig], SimulationConfig]
 

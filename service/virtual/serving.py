@@ -15,15 +15,15 @@ from typing import Any
 
 import can
 
-from drivers.bus_address import connect
-from service.virtual import vehicle as virtual_vehicle
-from simulation import runner
-from simulation.config import SimulationConfig
-from simulation.disturbance import Disturbance
-from simulation.faults import Fault
-from simulation.load import Load, Tilt
-from simulation.vehicle import VirtualVehicle
-from vehicles.sections import VehicleFile
+from upright.drivers.bus_address import connect
+from upright.service.virtual import vehicle as virtual_vehicle
+from upright.simulation import runner
+from upright.simulation.config import SimulationConfig
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.faults import Fault
+from upright.simulation.load import Load, Tilt
+from upright.simulation.vehicle import VirtualVehicle
+from upright.vehicles.sections import VehicleFile
 
 BUS = "virtual:upright-virtual"
 PATIENCE = 20.0

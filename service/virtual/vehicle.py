@@ -10,17 +10,17 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
-from drivers.bus_address import connect
-from drivers.cia402.config import find_eds
-from simulation import runner
-from simulation.config import DriveNode, ImuNode, SimulationConfig
-from simulation.disturbance import Disturbance
-from simulation.faults import Fault
-from simulation.load import Load, Tilt
-from simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
-from simulation.runner import RunStatistics
-from vehicles import registry
-from vehicles.sections import VehicleFile
+from upright.drivers.bus_address import connect
+from upright.drivers.cia402.config import find_eds
+from upright.simulation import runner
+from upright.simulation.config import DriveNode, ImuNode, SimulationConfig
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.faults import Fault
+from upright.simulation.load import Load, Tilt
+from upright.simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
+from upright.simulation.runner import RunStatistics
+from upright.vehicles import registry
+from upright.vehicles.sections import VehicleFile
 
 
 def usual_disturbance(vehicle: VehicleFile) -> Disturbance:

@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from simulation.bus.objects import CONTROLWORD, ERROR_CODE, ERROR_REGISTER, MODE, STATUSWORD
-from simulation.bus.power_state import PowerState, PowerStateMachine
-from simulation.config import DriveNode
+from upright.simulation.bus.objects import CONTROLWORD, ERROR_CODE, ERROR_REGISTER, MODE, STATUSWORD
+from upright.simulation.bus.power_state import PowerState, PowerStateMachine
+from upright.simulation.config import DriveNode
 
 HALT = 0x100
 

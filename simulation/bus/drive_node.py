@@ -15,9 +15,9 @@ import canopen
 from canopen.objectdictionary import ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from simulation.bus.drive_application import DriveApplication
-from simulation.bus.node_network import NodeNetwork, Send
-from simulation.bus.object_dictionary import (
+from upright.simulation.bus.drive_application import DriveApplication
+from upright.simulation.bus.node_network import NodeNetwork, Send
+from upright.simulation.bus.object_dictionary import (
     MAPPING,
     RPDO,
     TPDO,
@@ -27,10 +27,10 @@ from simulation.bus.object_dictionary import (
     read_pdo,
     write_default_pdos,
 )
-from simulation.bus.objects import ERROR_REGISTER, MAX_PDOS, MODE, Pdo
-from simulation.bus.power_state import PowerState
-from simulation.bus.sdo_server import SlowServer
-from simulation.config import DriveNode
+from upright.simulation.bus.objects import ERROR_REGISTER, MAX_PDOS, MODE, Pdo
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.bus.sdo_server import SlowServer
+from upright.simulation.config import DriveNode
 
 COMMUNICATION_ERROR = 0x10
 HEARTBEAT_LOST, RPDO_LATE, PDO_TOO_SHORT, LEFT_OPERATIONAL = 0x8130, 0x8250, 0x8210, 0x8100

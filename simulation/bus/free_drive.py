@@ -11,8 +11,8 @@ import math
 from abc import abstractmethod
 from typing import ClassVar, Protocol
 
-from simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
-from simulation.bus.objects import (
+from upright.simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
+from upright.simulation.bus.objects import (
     CONTROLWORD,
     MODE,
     MODE_DISPLAY,
@@ -21,8 +21,8 @@ from simulation.bus.objects import (
     TORQUE_ACTUAL,
     VELOCITY_ACTUAL,
 )
-from simulation.bus.power_state import PowerState
-from simulation.config import DriveNode
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.config import DriveNode
 
 STANDSTILL_RATE = 0.5
 """rad/s of the axis below which it counts as at standstill (assumed)."""

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simulation.bus.machine import Machine, Motion
-from simulation.config import ImuNode
-from telemetry.samples import Vector3
+from upright.simulation.bus.machine import Machine, Motion
+from upright.simulation.config import ImuNode
+from upright.telemetry.samples import Vector3
 
 STANDARD_GRAVITY = 9.80665
 NOISE_BLOCK = 512

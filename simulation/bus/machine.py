@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
-from simulation.bus.drive_application import DriveApplication
-from simulation.config import DriveNode
-from simulation.load import LoadTorque
-from telemetry.samples import Vector3
+from upright.simulation.bus.drive_application import DriveApplication
+from upright.simulation.config import DriveNode
+from upright.simulation.load import LoadTorque
+from upright.telemetry.samples import Vector3
 
 Motion = tuple[float, ...]
 """Angle about the axis of `Machine.falling_axis`, its rate and acceleration; then all else that an IMU on it feels."""

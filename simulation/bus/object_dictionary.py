@@ -10,9 +10,9 @@ import canopen
 from canopen.objectdictionary import ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from simulation.bus.objects import MAX_PDO_BYTES, MAX_PDOS, STRUCT_CODES, Pdo, keys_by_name
-from simulation.config import DriveNode
-from telemetry.errors import UprightError
+from upright.simulation.bus.objects import MAX_PDO_BYTES, MAX_PDOS, STRUCT_CODES, Pdo, keys_by_name
+from upright.simulation.config import DriveNode
+from upright.telemetry.errors import UprightError
 
 NOT_IN_USE = 0x8000_0000
 RPDO, TPDO = 0x1400, 0x1800

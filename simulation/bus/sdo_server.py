@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from simulation.drive_habits import DriveHabits
+from upright.simulation.drive_habits import DriveHabits
 
 STORED = range(0x1400, 0x1C00)
 """Indices of the PDO parameters, which some drives store at once."""

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 
-from simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
-from simulation.bus.objects import (
+from upright.simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
+from upright.simulation.bus.objects import (
     CONTROLWORD,
     MODE,
     MODE_DISPLAY,
@@ -25,9 +25,9 @@ from simulation.bus.objects import (
     VL_DEMAND,
     VL_TARGET_VELOCITY,
 )
-from simulation.bus.power_state import PowerState
-from simulation.config import DriveNode
-from simulation.servo_axis import AxisMode, ServoAxis
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.config import DriveNode
+from upright.simulation.servo_axis import AxisMode, ServoAxis
 
 VELOCITY = 2
 CYCLIC_SYNCHRONOUS_VELOCITY = 9

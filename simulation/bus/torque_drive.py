@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from simulation.bus.free_drive import FreeDrive
-from simulation.bus.objects import TARGET_TORQUE, TORQUE_DEMAND
-from simulation.config import DriveNode
+from upright.simulation.bus.free_drive import FreeDrive
+from upright.simulation.bus.objects import TARGET_TORQUE, TORQUE_DEMAND
+from upright.simulation.config import DriveNode
 
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 BRAKING_RATE = 10.0

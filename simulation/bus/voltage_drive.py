@@ -7,9 +7,9 @@ until it stands still.
 
 from __future__ import annotations
 
-from simulation.bus.free_drive import FreeDrive
-from simulation.bus.objects import TARGET_VOLTAGE, VOLTAGE_DEMAND
-from simulation.config import DriveNode
+from upright.simulation.bus.free_drive import FreeDrive
+from upright.simulation.bus.objects import TARGET_VOLTAGE, VOLTAGE_DEMAND
+from upright.simulation.config import DriveNode
 
 VOLTAGE = -1
 

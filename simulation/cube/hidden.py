@@ -7,9 +7,9 @@ Formulas are in `effects`, `simulation.friction`, `simulation.input_effects` and
 
 from __future__ import annotations
 
-from simulation.disturbance import Disturbance
-from simulation.narrow_band import NarrowBand
-from simulation.registry import HiddenEffect, Registry
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.registry import HiddenEffect, Registry
 
 CUBE_HIDDEN: dict[str, HiddenEffect] = {
     effect.name: effect

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simulation.cube.plant import CubePlant
-from simulation.cube.truth import CubeTruth
+from upright.simulation.cube.plant import CubePlant
+from upright.simulation.cube.truth import CubeTruth
 
 TRUTH, MACHINE = CubeTruth, CubePlant

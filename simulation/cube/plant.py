@@ -14,16 +14,16 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-from simulation.bus.machine import Machine, Motion
-from simulation.bus.torque_drive import TorqueDrive
-from simulation.config import DriveNode, SimulationConfig
-from simulation.contact import Supports
-from simulation.cube.effects import edge_effects, wheel_effects
-from simulation.cube.truth import CubeTruth
-from simulation.cube.wheel import Wheel
-from simulation.input_effects import input_effects
-from simulation.registry import check_onsets
-from telemetry.samples import Vector3
+from upright.simulation.bus.machine import Machine, Motion
+from upright.simulation.bus.torque_drive import TorqueDrive
+from upright.simulation.config import DriveNode, SimulationConfig
+from upright.simulation.contact import Supports
+from upright.simulation.cube.effects import edge_effects, wheel_effects
+from upright.simulation.cube.truth import CubeTruth
+from upright.simulation.cube.wheel import Wheel
+from upright.simulation.input_effects import input_effects
+from upright.simulation.registry import check_onsets
+from upright.telemetry.samples import Vector3
 
 
 class CubePlant(Machine):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from simulation.cube.hidden import CUBE
-from simulation.registry import Registry
+from upright.simulation.cube.hidden import CUBE
+from upright.simulation.registry import Registry
 
 
 @dataclass(frozen=True, slots=True)

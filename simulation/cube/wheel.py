@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import random
 
-from simulation.cube.truth import CubeTruth
-from simulation.input_effects import InputEffect
+from upright.simulation.cube.truth import CubeTruth
+from upright.simulation.input_effects import InputEffect
 
 
 class Wheel:

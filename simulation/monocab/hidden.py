@@ -7,9 +7,9 @@ or a few milliseconds. Formulas are in `roll_effects`, `simulation.friction`, `s
 
 from __future__ import annotations
 
-from simulation.disturbance import Disturbance
-from simulation.narrow_band import NarrowBand
-from simulation.registry import HiddenEffect, Registry
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.registry import HiddenEffect, Registry
 
 HIDDEN: dict[str, HiddenEffect] = {
     effect.name: effect

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simulation.monocab.plant import Plant
-from simulation.monocab.truth import PlantTruth
+from upright.simulation.monocab.plant import Plant
+from upright.simulation.monocab.truth import PlantTruth
 
 TRUTH, MACHINE = PlantTruth, Plant

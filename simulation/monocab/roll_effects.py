@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from simulation.config import EVENT_TIME
-from simulation.friction import (
+from upright.simulation.config import EVENT_TIME
+from upright.simulation.friction import (
     AsymmetricFriction,
     BoucWenHysteresis,
     LoadDependentFriction,
@@ -19,7 +19,7 @@ from simulation.friction import (
     Rolling,
     StribeckFriction,
 )
-from simulation.monocab.gimbal import Gimbal
+from upright.simulation.monocab.gimbal import Gimbal
 
 
 class RollingVehicle(Rolling, Protocol):

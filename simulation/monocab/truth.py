@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from simulation.monocab.hidden import MONOCAB
-from simulation.registry import Registry
+from upright.simulation.monocab.hidden import MONOCAB
+from upright.simulation.registry import Registry
 
 
 @dataclass(frozen=True, slots=True)

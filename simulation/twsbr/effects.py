@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from simulation.config import EVENT_TIME
-from simulation.friction import AsymmetricFriction, LoadDependentFriction, LuGreFriction, StribeckFriction
-from simulation.twsbr.motor import Motor
+from upright.simulation.config import EVENT_TIME
+from upright.simulation.friction import AsymmetricFriction, LoadDependentFriction, LuGreFriction, StribeckFriction
+from upright.simulation.twsbr.motor import Motor
 
 BRISTLE_DEFLECTION = 2.0e-4
 """rad of a wheel at which the bristles begin to slide: a hundredth of a mm at the motor's brushes, 1 mm from its axis

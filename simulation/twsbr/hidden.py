@@ -8,9 +8,9 @@ that of a tyre on a hard floor is a tenth of it. Formulas are in `effects`, `mec
 
 from __future__ import annotations
 
-from simulation.disturbance import Disturbance
-from simulation.narrow_band import NarrowBand
-from simulation.registry import HiddenEffect, Registry
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.registry import HiddenEffect, Registry
 
 TWSBR_HIDDEN: dict[str, HiddenEffect] = {
     effect.name: effect

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simulation.twsbr.plant import TwsbrPlant
-from simulation.twsbr.truth import TwsbrTruth
+from upright.simulation.twsbr.plant import TwsbrPlant
+from upright.simulation.twsbr.truth import TwsbrTruth
 
 TRUTH, MACHINE = TwsbrTruth, TwsbrPlant

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 
-from simulation.contact import Supports
-from simulation.twsbr.truth import TwsbrTruth
+from upright.simulation.contact import Supports
+from upright.simulation.twsbr.truth import TwsbrTruth
 
 BACKLASH_STIFFNESS = 560.0
 """N m/rad of a gear, at the wheel, beyond its backlash: its shaft, 18 mm of steel 6 mm thick, G pi d^4 / (32 length).

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from simulation.input_effects import InputEffect
-from simulation.twsbr.mechanics import Drive
-from simulation.twsbr.truth import TwsbrTruth
+from upright.simulation.input_effects import InputEffect
+from upright.simulation.twsbr.mechanics import Drive
+from upright.simulation.twsbr.truth import TwsbrTruth
 
 
 class Motor:

@@ -6,16 +6,16 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-from simulation.bus.machine import Machine, Motion
-from simulation.bus.voltage_drive import VoltageDrive
-from simulation.config import DriveNode, SimulationConfig
-from simulation.input_effects import input_effects
-from simulation.registry import check_onsets
-from simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
-from simulation.twsbr.mechanics import PLACES, Drive, Held, Mechanics, State
-from simulation.twsbr.motor import Motor
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.samples import Vector3
+from upright.simulation.bus.machine import Machine, Motion
+from upright.simulation.bus.voltage_drive import VoltageDrive
+from upright.simulation.config import DriveNode, SimulationConfig
+from upright.simulation.input_effects import input_effects
+from upright.simulation.registry import check_onsets
+from upright.simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
+from upright.simulation.twsbr.mechanics import PLACES, Drive, Held, Mechanics, State
+from upright.simulation.twsbr.motor import Motor
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.samples import Vector3
 
 RELEASE_DELAY = 0.1
 """s of power at both motors after which the stand releases the robot."""

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from simulation.registry import Registry
-from simulation.twsbr.hidden import TWSBR
+from upright.simulation.registry import Registry
+from upright.simulation.twsbr.hidden import TWSBR
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.compute
 import pyarrow.ipc
 
-from telemetry.errors import RecordingError
-from telemetry.formats.text.fields import Decimal, numbers
-from telemetry.formats.text.text_file import unique
-from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.units import name_and_unit
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.text.fields import Decimal, numbers
+from upright.telemetry.formats.text.text_file import unique
+from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.units import name_and_unit
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 """The last eight bytes of a stream that was closed."""

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from telemetry.formats.columns import counted, table_of
-from telemetry.tables.raw import Column, RawTable
+from upright.telemetry.formats.columns import counted, table_of
+from upright.telemetry.tables.raw import Column, RawTable
 
 DESCRIPTION = ("FMT", "FMTU", "UNIT", "MULT")
 """Messages that describe the others."""

@@ -17,8 +17,8 @@ from logging import root as logging_root
 from pathlib import Path
 from warnings import catch_warnings, simplefilter
 
-from telemetry.errors import RecordingError
-from telemetry.tables.raw import RawTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.tables.raw import RawTable
 
 Reader = Callable[[Path], Sequence[RawTable]]
 LONGEST = 128
@@ -77,7 +77,7 @@ def raw_tables(path: Path) -> Sequence[RawTable]:
     found = _format(path)
     if found is None:
         raise unknown_suffix(path, SUFFIXES)
-    read: Reader = import_module(f"telemetry.formats.{found.module}").read
+    read: Reader = import_module(f"upright.telemetry.formats.{found.module}").read
     tables, failure = _taken(read, path)
     if failure:
         raise RecordingError(str(path), "", f"cannot be read as {found.name} ({failure})", remedy=found.remedy)

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.formats.arrow import of_frame
-from telemetry.formats.columns import seconds, table_of
-from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.times import is_time_name
-from telemetry.tables.units import name_and_unit
+from upright.telemetry.formats.arrow import of_frame
+from upright.telemetry.formats.columns import seconds, table_of
+from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.times import is_time_name
+from upright.telemetry.tables.units import name_and_unit
 
 MOST = 64
 """Columns up to which a matrix is channels."""

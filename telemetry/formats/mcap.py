@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from telemetry.formats.topics import Decode, Log
-from telemetry.tables.raw import RawTable
-from telemetry.tables.units import name_and_unit
+from upright.telemetry.formats.topics import Decode, Log
+from upright.telemetry.tables.raw import RawTable
+from upright.telemetry.tables.units import name_and_unit
 
 OWN = "upright"
 """The metadata record that upright writes."""
@@ -68,7 +68,7 @@ def _decoder(channel: Any, schema: Any) -> Decode | str:
     if channel.message_encoding == "json":
         return json.loads
     if channel.message_encoding in ("cdr", "ros1") and schema is not None:
-        from telemetry.formats.ros_messages import ros1, ros2
+        from upright.telemetry.formats.ros_messages import ros1, ros2
 
         definition = schema.data.decode(errors="replace")
         if channel.message_encoding == "ros1":

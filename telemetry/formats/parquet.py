@@ -8,9 +8,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet
 
-from telemetry.errors import RecordingError
-from telemetry.formats.arrow import raw
-from telemetry.tables.raw import RawTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.arrow import raw
+from upright.telemetry.tables.raw import RawTable
 
 
 def read(path: Path) -> Sequence[RawTable]:

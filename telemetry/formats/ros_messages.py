@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from telemetry.formats.topics import Decode
+from upright.telemetry.formats.topics import Decode
 
 
 def ros2(definition: str, name: str, encoding: str = "ros2msg") -> Decode | str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from telemetry.formats.ros_messages import ros1
-from telemetry.formats.topics import Decode, Log
-from telemetry.tables.raw import RawTable
+from upright.telemetry.formats.ros_messages import ros1
+from upright.telemetry.formats.topics import Decode, Log
+from upright.telemetry.tables.raw import RawTable
 
 
 def read(path: Path) -> Sequence[RawTable]:

@@ -15,11 +15,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from telemetry.errors import RecordingError
-from telemetry.formats import mcap
-from telemetry.formats.ros_messages import ros2
-from telemetry.formats.topics import Decode, Log
-from telemetry.tables.raw import RawTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats import mcap
+from upright.telemetry.formats.ros_messages import ros2
+from upright.telemetry.formats.topics import Decode, Log
+from upright.telemetry.tables.raw import RawTable
 
 SUFFIXES = (".db3", ".mcap")
 PACKED = ".zstd"

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.errors import RecordingError
-from telemetry.tables.raw import Column, RawTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.tables.raw import Column, RawTable
 
 Decode = Callable[[bytes], Any]
 """A decoder of messages; it raises where one is damaged."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from telemetry.formats.columns import counted, table_of
-from telemetry.tables.raw import Column, RawTable
+from upright.telemetry.formats.columns import counted, table_of
+from upright.telemetry.tables.raw import Column, RawTable
 
 HEADER = 16
 """Bytes before the first message."""

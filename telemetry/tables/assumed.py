@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from telemetry.errors import RecordingError
-from telemetry.recording import FARTHEST, Recording
-from telemetry.tables.mapping import Assumption, factor_of
-from telemetry.tables.matched import unwrapped
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import FARTHEST, Recording
+from upright.telemetry.tables.mapping import Assumption, factor_of
+from upright.telemetry.tables.matched import unwrapped
 
 
 def as_assumed(recording: Recording, channel: str, how: Assumption) -> Recording:

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
-from telemetry.errors import UprightError
-from telemetry.tables.units import Unit, is_unit, unit_of
+from upright.telemetry.errors import UprightError
+from upright.telemetry.tables.units import Unit, is_unit, unit_of
 
 ROW = "row"
 """A column that every table has: the number of the row, 0 for the first."""

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.errors import RecordingError
-from telemetry.tables.mapping import Assumption, Said, Source, factor_of
-from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.units import unit_of
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.tables.mapping import Assumption, Said, Source, factor_of
+from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.units import unit_of
+from upright.telemetry.tables.wanted import Wanted
 
 TURN = 2.0 * np.pi
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording, describe
-from telemetry.tables.mapping import NOTHING, Said
-from telemetry.tables.matched import Matched, matched
-from telemetry.tables.raw import RawTable
-from telemetry.tables.several_clocks import joined, with_one_clock
-from telemetry.tables.several_rates import aligned
-from telemetry.tables.stamps import Stamped, mended
-from telemetry.tables.times import times_of
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording, describe
+from upright.telemetry.tables.mapping import NOTHING, Said
+from upright.telemetry.tables.matched import Matched, matched
+from upright.telemetry.tables.raw import RawTable
+from upright.telemetry.tables.several_clocks import joined, with_one_clock
+from upright.telemetry.tables.several_rates import aligned
+from upright.telemetry.tables.stamps import Stamped, mended
+from upright.telemetry.tables.times import times_of
+from upright.telemetry.tables.wanted import Wanted
 
 
 def recordings(

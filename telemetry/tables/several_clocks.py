@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.errors import RecordingError
-from telemetry.tables.mapping import Said
-from telemetry.tables.matched import may_be
-from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.times import is_time_name
-from telemetry.tables.units import unit_of
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.tables.mapping import Said
+from upright.telemetry.tables.matched import may_be
+from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.times import is_time_name
+from upright.telemetry.tables.units import unit_of
+from upright.telemetry.tables.wanted import Wanted
 
 MOST_CELLS = 100_000_000
 """Values of a table up to which topics at different instants are one: 0.8 GB."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.tables.matched import Matched
-from telemetry.tables.stamps import STEP
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.tables.matched import Matched
+from upright.telemetry.tables.stamps import STEP
+from upright.telemetry.tables.wanted import Wanted
 
 TOGETHER = 0.5
 """Share of the rows in which the slowest measured channel is known, and of these rows in which all are, below which a

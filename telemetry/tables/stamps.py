@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.tables.times import DAY, Times
+from upright.telemetry.tables.times import DAY, Times
 
 GAP = 10
 """Periods between the rows before and after a clock was set: a gap, so no fit goes across it."""

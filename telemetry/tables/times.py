@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.errors import RecordingError
-from telemetry.recording import FARTHEST
-from telemetry.tables.mapping import ROW, Said, factor_of
-from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.units import Unit, unit_of
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import FARTHEST
+from upright.telemetry.tables.mapping import ROW, Said, factor_of
+from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.units import Unit, unit_of
 
 _NAMES_TEXT = (
     "timestamp_ns time __time t timestamp time_stamp _time datetime date_time elapsed elapsed_time"

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from thorough import of_many
 
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from estimators.identify.run import with_values
-from models.effects.catalogue import find
-from models.library import get
-from service.virtual.run import record
-from simulation.monocab.gimbal import BACKLASH_STIFFNESS, LOAD_SHARE
-from simulation.monocab.hidden import HIDDEN
-from simulation.monocab.truth import PlantTruth
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.estimators.identify.run import with_values
+from upright.models.effects.catalogue import find
+from upright.models.library import get
+from upright.service.virtual.run import record
+from upright.simulation.monocab.gimbal import BACKLASH_STIFFNESS, LOAD_SHARE
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.simulation.monocab.truth import PlantTruth
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 pytestmark = pytest.mark.patient
 

@@ -13,25 +13,25 @@ import numpy as np
 import pytest
 import small_vehicle
 
-from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
-from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report.figures.comparison import comparison_figure
-from estimators.speed_loop import MODES, respond
-from estimators.speed_loop import Loop as Tuning
-from estimators.speed_loop_steps import SpeedLoopSteps
-from models import library
-from models.model import Model
-from service.pages.compare import closed_loop_lines
-from service.virtual import run as virtual_run
-from telemetry.channels import ChannelTable
-from telemetry.clock import with_regular_times
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame
-from telemetry.storage import load as load_recording
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.phases import Phase
-from vehicles.registry import recorded_loop
+from upright.diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.diagnosis.report.figures.comparison import comparison_figure
+from upright.estimators.speed_loop import MODES, respond
+from upright.estimators.speed_loop import Loop as Tuning
+from upright.estimators.speed_loop_steps import SpeedLoopSteps
+from upright.models import library
+from upright.models.model import Model
+from upright.service.pages.compare import closed_loop_lines
+from upright.service.virtual import run as virtual_run
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.clock import with_regular_times
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame
+from upright.telemetry.storage import load as load_recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
+from upright.vehicles.registry import recorded_loop
 
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})

@@ -12,20 +12,20 @@ import pytest
 import small_vehicle
 import virtual_records
 
-from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report.figures.comparison import comparison_figure, save_comparison
-from estimators.contract import EstimationError
-from estimators.data.segments import DataError
-from models import library
-from models.file.model_file import load_model
-from models.model import Model
-from models.parts import ModelError
-from service.offline.models import compared_models
-from service.pages.compare import comparison_table
-from telemetry.channels import ChannelTable
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from vehicles.file import load
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.diagnosis.report.figures.comparison import comparison_figure, save_comparison
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.segments import DataError
+from upright.models import library
+from upright.models.file.model_file import load_model
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.offline.models import compared_models
+from upright.service.pages.compare import comparison_table
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
 
 SUPPORT = float(np.radians(4.0))
 CAD = library.get("monocab_roll").add("static_torque")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from thorough import of_many
 
-from diagnosis.diagnose import Diagnosis, diagnose
-from diagnosis.findings import Verdict
-from service.virtual.run import record
-from simulation.cube.hidden import AT_THE_WHEEL, CUBE, CUBE_HIDDEN
-from vehicles.file import load
-from vehicles.registry import models_of, recorded_loop
+from upright.diagnosis.diagnose import Diagnosis, diagnose
+from upright.diagnosis.findings import Verdict
+from upright.service.virtual.run import record
+from upright.simulation.cube.hidden import AT_THE_WHEEL, CUBE, CUBE_HIDDEN
+from upright.vehicles.file import load
+from upright.vehicles.registry import models_of, recorded_loop
 
 VEHICLE = load("cube")
 SEED, EXCITED = 41, 20.0

@@ -11,15 +11,15 @@ import pytest
 from thorough import of_many
 from virtual_records import multisine
 
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from estimators.identify.run import with_values
-from models.effect import Effect, EffectParameter, Family
-from models.parts import Place
-from service.virtual.run import record
-from simulation.monocab.hidden import HIDDEN
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.estimators.identify.run import with_values
+from upright.models.effect import Effect, EffectParameter, Family
+from upright.models.parts import Place
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(
@@ -205,7 +205,7 @@ class TestDocument:
     ) -> None:
         """As on a computer on which no model was compiled yet."""
         monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
-        monkeypatch.setattr("models.compiler.kernel._loaded", {})
+        monkeypatch.setattr("upright.models.compiler.kernel._loaded", {})
         messages: list[str] = []
         friction = multisine("coulomb_friction")
         few = ("coulomb_friction", "viscous_friction")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.diagnose import Verdict, diagnose
-from diagnosis.revise.revision import revise
 from examples import emps, quarter_drone, unbalanced_disk
-from models.file.model_file import load_model
+from upright.diagnosis.diagnose import Verdict, diagnose
+from upright.diagnosis.revise.revision import revise
+from upright.models.file.model_file import load_model
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.evidence import LEVEL, ODDS, beyond_chance, is_supported, likelier
+from upright.diagnosis.evidence import LEVEL, ODDS, beyond_chance, is_supported, likelier
 
 
 def test_false_alarm_rate_equals_the_level() -> None:

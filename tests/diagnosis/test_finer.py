@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.diagnose import Verdict, diagnose
-from estimators.identify.run import with_values
-from models.effects.catalogue import find
-from models.expressions import number
-from models.file.document import ModelFile
-from models.file.model_file import read, write
-from service.virtual.run import record
-from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Verdict, diagnose
+from upright.estimators.identify.run import with_values
+from upright.models.effects.catalogue import find
+from upright.models.expressions import number
+from upright.models.file.document import ModelFile
+from upright.models.file.model_file import read, write
+from upright.service.virtual.run import record
+from upright.simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

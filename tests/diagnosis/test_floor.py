@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import virtual_records
 
-from diagnosis.lack_of_fit.floor import floor, innovation_ratio, sensor_noise, with_nuisances
-from diagnosis.prediction.horizons import predictions
-from estimators.contract import EstimationError
-from estimators.data.white_noise import white_variance
-from estimators.fit.problem import Problem, problem
+from upright.diagnosis.lack_of_fit.floor import floor, innovation_ratio, sensor_noise, with_nuisances
+from upright.diagnosis.prediction.horizons import predictions
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.white_noise import white_variance
+from upright.estimators.fit.problem import Problem, problem
 
 SUPPORT = float(np.radians(4.0))
 

@@ -9,22 +9,22 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.free_decays import Body, pushed
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.fits.input_noise import not_acting
-from diagnosis.prepare.ready import ready
-from diagnosis.report.sentences import disturbance_sentences
-from estimators.data.quantised import step_of
-from estimators.data.resting import without_rests
-from estimators.fit import innovations
-from estimators.fit.input_noise import input_noise
-from estimators.fit.likelihood import Likelihood
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import Problem, problem, typical_motion
-from estimators.fit.sensor_errors import InputError
-from models.file.model_file import load_model
-from models.random.input_noise import noisy_inputs
-from telemetry.recording import Recording
-from telemetry.storage import load
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.fits.input_noise import not_acting
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.report.sentences import disturbance_sentences
+from upright.estimators.data.quantised import step_of
+from upright.estimators.data.resting import without_rests
+from upright.estimators.fit import innovations
+from upright.estimators.fit.input_noise import input_noise
+from upright.estimators.fit.likelihood import Likelihood
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import Problem, problem, typical_motion
+from upright.estimators.fit.sensor_errors import InputError
+from upright.models.file.model_file import load_model
+from upright.models.random.input_noise import noisy_inputs
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from benchmarks import decisions
-from diagnosis.gates import CHECKED, GATES, HeldOut, Round, Tried, decide, gated
-from models.effects.catalogue import find
+from upright.diagnosis.gates import CHECKED, GATES, HeldOut, Round, Tried, decide, gated
+from upright.models.effects.catalogue import find
 
 ROWS = 6000
 STANDS = HeldOut(gain=300.0, std=20.0, closed_percent=90.0, closed_std=5.0, closing_percent=90.0)

@@ -16,13 +16,13 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
-from diagnosis.lack_of_fit.adequacy import LEFT_BY_IMPACTS
-from models import library
-from service.cli import app
-from service.virtual.run import record
-from simulation.twsbr.hidden import TWSBR_HIDDEN
-from telemetry.storage import save
-from vehicles.file import load
+from upright.diagnosis.lack_of_fit.adequacy import LEFT_BY_IMPACTS
+from upright.models import library
+from upright.service.cli import app
+from upright.service.virtual.run import record
+from upright.simulation.twsbr.hidden import TWSBR_HIDDEN
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
 
 SEED = 74
 """No setting was chosen with it."""

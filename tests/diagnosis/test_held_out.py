@@ -7,23 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.gates import HeldOut
-from diagnosis.parts import diagnose_actuators
-from diagnosis.prepare.ready import ready
-from diagnosis.search.held_out import TAILS, WIDER, loss, with_possible_noise
-from estimators.data.segments import after_settling
-from estimators.fit.likelihood import FLOOR
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import problem
-from estimators.identify.run import with_values
-from models.effects.catalogue import find
-from models.library import get
-from service.virtual.run import record
-from simulation.monocab.hidden import HIDDEN
-from vehicles import registry
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.gates import HeldOut
+from upright.diagnosis.parts import diagnose_actuators
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.search.held_out import TAILS, WIDER, loss, with_possible_noise
+from upright.estimators.data.segments import after_settling
+from upright.estimators.fit.likelihood import FLOOR
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.run import with_values
+from upright.models.effects.catalogue import find
+from upright.models.library import get
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

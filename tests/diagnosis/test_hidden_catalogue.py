@@ -17,13 +17,13 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.beside_disturbance import LEARNED, LEVELS
-from models.effects.catalogue import CATALOGUE
-from models.file.model_file import read
-from models.parts import Place
-from service.cli import app
-from service.virtual.run import record
-from simulation.monocab.hidden import HIDDEN
-from telemetry.storage import save
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.file.model_file import read
+from upright.models.parts import Place
+from upright.service.cli import app
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.telemetry.storage import save
 
 pytestmark = pytest.mark.patient
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from virtual_records import multisine
 
-from diagnosis.fits.refit import full
-from diagnosis.prepare.candidates import candidates_for
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.change_points import MOST, at_instants
-from diagnosis.score.whitened import Whitened, project
-from estimators.identify.run import with_values
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.fits.refit import full
+from upright.diagnosis.prepare.candidates import candidates_for
+from upright.diagnosis.prepare.workspace import Workspace, attached
+from upright.diagnosis.score.change_points import MOST, at_instants
+from upright.diagnosis.score.whitened import Whitened, project
+from upright.estimators.identify.run import with_values
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -9,32 +9,32 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.findings import Verdict
-from diagnosis.parts import diagnose_parts
-from diagnosis.prediction.compare import compare
-from diagnosis.prepare.ready import ready
-from estimators.fit.disturbance import disturbances
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import problem
-from estimators.fit.released import released
-from estimators.identify.run import with_values
-from estimators.methods.prediction_error import prediction_error
-from models.library import get
-from models.model import Model
-from service.hidden_effects.cases import Case
-from service.hidden_effects.disturbances import drawn_for
-from service.hidden_effects.trial import Bench, disturbance_of
-from service.hidden_effects.vehicles import drawn
-from service.offline import replay
-from service.virtual.run import record
-from simulation.bus.imu_node import SensorPath
-from simulation.config import ImuNode, SimulationConfig
-from simulation.monocab.truth import PlantTruth
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import VehicleFile, load
-from vehicles.monocab.identification.own import drive_lag
-from vehicles.registry import recorded_loop
+from upright.diagnosis.findings import Verdict
+from upright.diagnosis.parts import diagnose_parts
+from upright.diagnosis.prediction.compare import compare
+from upright.diagnosis.prepare.ready import ready
+from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.fit.released import released
+from upright.estimators.identify.run import with_values
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.models.library import get
+from upright.models.model import Model
+from upright.service.hidden_effects.cases import Case
+from upright.service.hidden_effects.disturbances import drawn_for
+from upright.service.hidden_effects.trial import Bench, disturbance_of
+from upright.service.hidden_effects.vehicles import drawn
+from upright.service.offline import replay
+from upright.service.virtual.run import record
+from upright.simulation.bus.imu_node import SensorPath
+from upright.simulation.config import ImuNode, SimulationConfig
+from upright.simulation.monocab.truth import PlantTruth
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.monocab.identification.own import drive_lag
+from upright.vehicles.registry import recorded_loop
 
 LATENCY = 0.0075
 """s: not a multiple of the sampling period, and the drives are sampled after the IMU."""

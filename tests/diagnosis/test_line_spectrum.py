@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.prediction.line_spectrum import CREST, Lines, phases, power
+from upright.diagnosis.prediction.line_spectrum import CREST, Lines, phases, power
 
 FREQUENCY = np.arange(1, 21) / 10.0
 

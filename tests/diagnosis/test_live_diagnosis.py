@@ -12,29 +12,29 @@ import pytest
 from observer_harness import VEHICLE
 from thorough import of_many
 
-from diagnosis.live.line import RECENT, LineFinder, strongest
-from diagnosis.live.live import LiveDiagnosis
-from diagnosis.live.naming import Gathered, LiveFinding, LiveResult
-from diagnosis.prepare.candidates import candidates_for
-from diagnosis.prepare.workspace import attached
-from estimators.fit.disturbance import is_of_disturbance
-from estimators.identify.run import with_values
-from estimators.methods.prediction_error import prediction_error
-from estimators.recursive.prediction_error import RecursivePredictionError
-from estimators.recursive.predictor import Seen
-from models.compiler.kernel import compile_model
-from models.effects.catalogue import CATALOGUE
-from models.parts import ModelError
-from models.random.disturbance import disturbed
-from models.segment import Segment
-from service.observer.news import News
-from service.observer.online_estimators import online_estimators
-from service.output import missing_effects
-from service.virtual.run import BOOT_TIME, record
-from simulation.vehicle import START_NS
-from telemetry.recording import Recording
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.registry import nominal_model
+from upright.diagnosis.live.line import RECENT, LineFinder, strongest
+from upright.diagnosis.live.live import LiveDiagnosis
+from upright.diagnosis.live.naming import Gathered, LiveFinding, LiveResult
+from upright.diagnosis.prepare.candidates import candidates_for
+from upright.diagnosis.prepare.workspace import attached
+from upright.estimators.fit.disturbance import is_of_disturbance
+from upright.estimators.identify.run import with_values
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.estimators.recursive.prediction_error import RecursivePredictionError
+from upright.estimators.recursive.predictor import Seen
+from upright.models.compiler.kernel import compile_model
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.parts import ModelError
+from upright.models.random.disturbance import disturbed
+from upright.models.segment import Segment
+from upright.service.observer.news import News
+from upright.service.observer.online_estimators import online_estimators
+from upright.service.output import missing_effects
+from upright.service.virtual.run import BOOT_TIME, record
+from upright.simulation.vehicle import START_NS
+from upright.telemetry.recording import Recording
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.registry import nominal_model
 
 GIVEN: dict[str, Any] = {
     "parameters": VEHICLE.parameters.values,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from test_onset import EFFECTS, gathered
 
-from diagnosis.live.odds import Weighed, tied_from, weigh
-from diagnosis.live.onset import BEGINNING, Amplitudes
-from diagnosis.live.products import Products
+from upright.diagnosis.live.odds import Weighed, tied_from, weigh
+from upright.diagnosis.live.onset import BEGINNING, Amplitudes
+from upright.diagnosis.live.products import Products
 
 
 def weighed(products: Products, least: float = 0.0, **tries: int) -> list[Weighed]:

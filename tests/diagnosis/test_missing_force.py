@@ -11,14 +11,14 @@ import virtual_records
 from axis_plant import MASS
 from scipy.linalg import solve_discrete_are
 
-from diagnosis.lack_of_fit.floor import Innovations, with_nuisances
-from diagnosis.lack_of_fit.force_bins import Binned, binned_forces, mean_forces
-from diagnosis.lack_of_fit.force_probe import Probe, probe, recurrence
-from diagnosis.lack_of_fit.missing_force import FADING, MissingForce, _settled, missing_force
-from estimators.contract import EstimationError
-from estimators.fit.problem import problem
-from models.model import Model
-from telemetry.recording import Recording
+from upright.diagnosis.lack_of_fit.floor import Innovations, with_nuisances
+from upright.diagnosis.lack_of_fit.force_bins import Binned, binned_forces, mean_forces
+from upright.diagnosis.lack_of_fit.force_probe import Probe, probe, recurrence
+from upright.diagnosis.lack_of_fit.missing_force import FADING, MissingForce, _settled, missing_force
+from upright.estimators.contract import EstimationError
+from upright.estimators.fit.problem import problem
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 
 def seen(model: Model, recording: Recording) -> tuple[Innovations, Probe]:

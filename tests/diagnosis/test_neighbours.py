@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from thorough import of_many
 
-from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
-from diagnosis.evidence import SIGNIFICANT, beyond_chance
-from diagnosis.fits.refit import full, log_ratio, t_ratio, with_effect
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.search.explanation import Explanation, Search
-from diagnosis.search.neighbours import merge, split, swap
-from estimators.fit.result import inverse
-from estimators.identify.run import with_values
-from service.virtual.run import record
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
+from upright.diagnosis.evidence import SIGNIFICANT, beyond_chance
+from upright.diagnosis.fits.refit import full, log_ratio, t_ratio, with_effect
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.search.explanation import Explanation, Search
+from upright.diagnosis.search.neighbours import merge, split, swap
+from upright.estimators.fit.result import inverse
+from upright.estimators.identify.run import with_values
+from upright.service.virtual.run import record
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(
@@ -150,7 +150,7 @@ def test_effect_that_explains_nearly_as_much_as_two_is_tied_with_the_similar_one
     recording = record("monocab", "multisine", hide=("asymmetric_friction=0.1",), seed=31, duration=30.0)
     two = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=PARTS)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
-    monkeypatch.setattr("diagnosis.search.neighbours.two_are_likelier", lambda *_: True)
+    monkeypatch.setattr("upright.diagnosis.search.neighbours.two_are_likelier", lambda *_: True)
     found = merge(Explanation(two.findings, two.steps[-1]), Search(workspace))
     assert {each.effect: each.tied_with for each in found.findings} == {
         each.effect: ("asymmetric_friction",) if each.effect == "coulomb_friction" else each.tied_with
@@ -169,9 +169,9 @@ def test_repeated_search_does_not_end_with_a_lower_likelihood(
         "monocab", "multisine", hide=("coulomb_friction=0.04", "quadratic_drag=0.1"), seed=31, duration=20.0
     )
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, DRAGS)
-    monkeypatch.setattr("diagnosis.search.neighbours.remembered", lambda *_: lost)
-    monkeypatch.setattr("diagnosis.search.neighbours.beyond_chance", lambda *_: False)
-    monkeypatch.setattr("diagnosis.search.neighbours._again", lambda *_: None)
+    monkeypatch.setattr("upright.diagnosis.search.neighbours.remembered", lambda *_: lost)
+    monkeypatch.setattr("upright.diagnosis.search.neighbours.beyond_chance", lambda *_: False)
+    monkeypatch.setattr("upright.diagnosis.search.neighbours._again", lambda *_: None)
     before = Explanation(two_drags.findings, last)
     assert swap(before, Search(workspace)) is before
 

@@ -12,28 +12,28 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.fits.refit import full
-from diagnosis.next_experiment import ENOUGH, LONGEST, Choice, expected_log_odds, suggest
-from diagnosis.prediction.closed_loop import simulate
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
-from estimators.budget import Budget, OutOfTime
-from estimators.fit.problem import problem
-from estimators.identify.run import with_values
-from models import library
-from models.model import Model
-from service.cli import app
-from service.control.api import ExitCode, Message, result
-from service.control.server import ApiServer
-from service.offline.next_experiment import experiments_of, separating, suggest_for
-from service.virtual.run import record
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.file import VehicleFile, load
-from vehicles.phases import Phase
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
+from upright.diagnosis.fits.refit import full
+from upright.diagnosis.next_experiment import ENOUGH, LONGEST, Choice, expected_log_odds, suggest
+from upright.diagnosis.prediction.closed_loop import simulate
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
+from upright.estimators.budget import Budget, OutOfTime
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.run import with_values
+from upright.models import library
+from upright.models.model import Model
+from upright.service.cli import app
+from upright.service.control.api import ExitCode, Message, result
+from upright.service.control.server import ApiServer
+from upright.service.offline.next_experiment import experiments_of, separating, suggest_for
+from upright.service.virtual.run import record
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.phases import Phase
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 PAIR = ("viscous_friction", "coulomb_friction")
@@ -275,7 +275,7 @@ def test_from_and_to_select_a_part_of_the_recordings(tmp_path: Path, monkeypatch
         seen.extend(recordings)
         raise UprightError("enough was seen.", remedy="")
 
-    monkeypatch.setattr("service.offline.next_experiment.separating", separating)
+    monkeypatch.setattr("upright.service.offline.next_experiment.separating", separating)
     arguments = ["experiment", "--separate", *PAIR, str(path), "--from", "0.5", "--to", "1.5"]
     assert CliRunner().invoke(app, arguments).exit_code == 1
     (part,) = seen

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.live.odds import weigh
-from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
-from diagnosis.live.products import Products
+from upright.diagnosis.live.odds import weigh
+from upright.diagnosis.live.onset import BEGINNING, Amplitudes, Onset
+from upright.diagnosis.live.products import Products
 
 ROWS = 200
 """Samples per second."""

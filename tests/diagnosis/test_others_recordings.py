@@ -19,14 +19,14 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.others_recordings import EFFECTS, OthersVehicle, right
-from diagnosis.fits.look_ahead import LOOKED_AHEAD, look_ahead_share, looks_ahead
-from diagnosis.fits.refit import FullFit, full, with_effect
-from diagnosis.prepare.ready import ready
-from diagnosis.prepare.workspace import Workspace
-from service.cli import app
-from service.cli.inputs import load_recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.fits.look_ahead import LOOKED_AHEAD, look_ahead_share, looks_ahead
+from upright.diagnosis.fits.refit import FullFit, full, with_effect
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.service.cli import app
+from upright.service.cli.inputs import load_recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 pytestmark = pytest.mark.patient
 

@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.others_robot import EFFECTS, OthersRobot, hill
-from estimators.data.as_recorded import as_recorded
-from models.library import get
-from service.cli import app
-from service.cli.inputs import load_recording
-from service.virtual.run import record
+from upright.estimators.data.as_recorded import as_recorded
+from upright.models.library import get
+from upright.service.cli import app
+from upright.service.cli.inputs import load_recording
+from upright.service.virtual.run import record
 
 pytestmark = pytest.mark.patient
 

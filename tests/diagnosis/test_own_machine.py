@@ -17,7 +17,7 @@ import pytest
 from thorough import of_many
 from typer.testing import CliRunner
 
-from service.cli import app
+from upright.service.cli import app
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
 SEED = 71

@@ -10,20 +10,20 @@ import pytest
 from thorough import of_many
 from virtual_records import multisine
 
-from diagnosis.diagnose import Diagnosis, Verdict
-from diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
-from diagnosis.prepare.actuator_samples import on_time
-from estimators.data.segments import ramp_shortfall
-from estimators.identify.run import with_values
-from models.effects.catalogue import CATALOGUE
-from models.library import get
-from models.model import Model
-from models.parts import Place
-from simulation.monocab.hidden import HIDDEN
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import load
-from vehicles.registry import channels_of, nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict
+from upright.diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
+from upright.diagnosis.prepare.actuator_samples import on_time
+from upright.estimators.data.segments import ramp_shortfall
+from upright.estimators.identify.run import with_values
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.library import get
+from upright.models.model import Model
+from upright.models.parts import Place
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.registry import channels_of, nominal_model
 
 VEHICLE = load("monocab")
 LOOPS = registry.models_of(VEHICLE).actuators

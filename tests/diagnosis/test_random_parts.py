@@ -14,37 +14,37 @@ from scipy.stats import binom
 from shaken_plant import Shaken
 from thorough import of_many
 
-import diagnosis.search.search
 from benchmarks.others_recordings import EFFECTS, SENSORS, OthersVehicle
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.fits.random_parts import RANDOM
-from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
-from diagnosis.prepare.ready import ready
-from diagnosis.prepare.workspace import Workspace
-from diagnosis.report.sentences import disturbance_sentences, to_within
-from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
-from diagnosis.search.search import Found
-from estimators.budget import OutOfTime
-from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
-from estimators.fit.disturbance import disturbances
-from estimators.fit.maximum_likelihood import fit
-from estimators.fit.problem import problem
-from estimators.identify.run import with_values
-from estimators.methods.prediction_error import prediction_error
-from models.file.model_file import parse, read
-from models.file.model_file import write as write_model
-from models.model import Model
-from models.parts import Disturbance, ModelError
-from models.parts import NarrowBand as KnownBand
-from models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
-from service.offline.replay import load as load_recording
-from service.virtual.run import record
-from simulation.monocab.hidden import MONOCAB
-from simulation.narrow_band import NarrowBand, NarrowBandTorque
-from simulation.registry import UnknownEffectError, parse_narrow_band
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.fits.random_parts import RANDOM
+from upright.diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
+from upright.diagnosis.prepare.ready import ready
+from upright.diagnosis.prepare.workspace import Workspace
+from upright.diagnosis.report.sentences import disturbance_sentences, to_within
+from upright.diagnosis.search import search as searching
+from upright.diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
+from upright.diagnosis.search.search import Found
+from upright.estimators.budget import OutOfTime
+from upright.estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
+from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.run import with_values
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.models.file.model_file import parse, read
+from upright.models.file.model_file import write as write_model
+from upright.models.model import Model
+from upright.models.parts import Disturbance, ModelError
+from upright.models.parts import NarrowBand as KnownBand
+from upright.models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
+from upright.service.offline.replay import load as load_recording
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import MONOCAB
+from upright.simulation.narrow_band import NarrowBand, NarrowBandTorque
+from upright.simulation.registry import UnknownEffectError, parse_narrow_band
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(
@@ -335,7 +335,7 @@ def test_search_with_a_random_part_that_is_cut_short_keeps_the_first_result(
         return found
 
     parts = iter([base])
-    module = diagnosis.search.search
+    module = searching
     monkeypatch.setattr(module, "_effects", effects)
     monkeypatch.setattr(module, "_alone", lambda *_: NOTHING_SCORED)
     monkeypatch.setattr(module, "_outdone", lambda *_: False)
@@ -360,7 +360,7 @@ def test_only_findings_that_lead_by_more_than_a_random_part_explains_are_kept(
         started.append(known)
         return first if len(started) == 1 else replace(first, last=beside)  # type: ignore[arg-type]
 
-    parts, module = iter([wider]), diagnosis.search.search
+    parts, module = iter([wider]), searching
     monkeypatch.setattr(module, "_effects", effects)
     monkeypatch.setattr(module, "_alone", lambda *_: NOTHING_SCORED)
     monkeypatch.setattr(module, "_outdone", lambda *_: False)
@@ -382,7 +382,7 @@ def test_findings_stand_if_time_runs_out_before_they_are_fitted_with_the_random_
     def out_of_time(*_: object) -> None:
         raise OutOfTime
 
-    workspace, module = Workspace((), None, (), (), {}), diagnosis.search.search
+    workspace, module = Workspace((), None, (), (), {}), searching
     monkeypatch.setattr(module, "_effects", lambda *_: found)
     monkeypatch.setattr(module, "_alone", lambda *_: NOTHING_SCORED)
     monkeypatch.setattr(module, "_outdone", lambda *_: False)

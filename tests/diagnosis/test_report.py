@@ -24,15 +24,15 @@ from written_report import (
     written,
 )
 
-from diagnosis.diagnose import Diagnosis, Verdict
-from diagnosis.prediction.relevance import percent
-from diagnosis.report import write_report
-from diagnosis.report.figures.diagnosis import staircase
-from diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
-from diagnosis.report.tables import p_text
-from diagnosis.report.words import headline
-from estimators.disturbance_estimate import rms
-from estimators.fit.disturbance import disturbances
+from upright.diagnosis.diagnose import Diagnosis, Verdict
+from upright.diagnosis.prediction.relevance import percent
+from upright.diagnosis.report import write_report
+from upright.diagnosis.report.figures.diagnosis import staircase
+from upright.diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
+from upright.diagnosis.report.tables import p_text
+from upright.diagnosis.report.words import headline
+from upright.estimators.disturbance_estimate import rms
+from upright.estimators.fit.disturbance import disturbances
 
 
 class TestPage:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.prediction.response import Band, responses
-from vehicles.excitation import Sweep
+from upright.diagnosis.prediction.response import Band, responses
+from upright.vehicles.excitation import Sweep
 
 PERIOD, SECONDS = 0.004, 60.0
 TIME = np.arange(0.0, SECONDS, PERIOD)

@@ -11,25 +11,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.prediction.ahead import errors, on, sensor_floors
-from diagnosis.report.figures.revision import revision_figure
-from diagnosis.report.revision_words import in_words, odds_text
-from diagnosis.revise.drop_tests import drop_tests
-from diagnosis.revise.result import Budget, Neighbour, Revision
-from diagnosis.revise.revision import horizons_of, revise
-from diagnosis.revise.split import split
-from diagnosis.revise.with_and_without import Estimated, alone
-from diagnosis.revise.with_and_without import training as samples
-from estimators.contract import Status
-from estimators.data.segments import DataError
-from estimators.fit.problem import problem
-from models import library
-from models.library.axis import axis
-from models.model import Model
-from models.parts import ModelError
-from service.virtual.run import record
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
+from upright.diagnosis.prediction.ahead import errors, on, sensor_floors
+from upright.diagnosis.report.figures.revision import revision_figure
+from upright.diagnosis.report.revision_words import in_words, odds_text
+from upright.diagnosis.revise.drop_tests import drop_tests
+from upright.diagnosis.revise.result import Budget, Neighbour, Revision
+from upright.diagnosis.revise.revision import horizons_of, revise
+from upright.diagnosis.revise.split import split
+from upright.diagnosis.revise.with_and_without import Estimated, alone
+from upright.diagnosis.revise.with_and_without import training as samples
+from upright.estimators.contract import Status
+from upright.estimators.data.segments import DataError
+from upright.estimators.fit.problem import problem
+from upright.models import library
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.virtual.run import record
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
 
 CHANNELS = ChannelTable((Channel("position", "m", ""), Channel("force", "N", "")))
 NOISE, SMOOTH = 3e-4, 1e-2

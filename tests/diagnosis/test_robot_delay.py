@@ -14,12 +14,12 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
-from models.library import get
-from service.cli import app
-from service.virtual.run import record
-from simulation.twsbr.hidden import TWSBR_HIDDEN
-from telemetry.storage import save
-from vehicles.file import load
+from upright.models.library import get
+from upright.service.cli import app
+from upright.service.virtual.run import record
+from upright.simulation.twsbr.hidden import TWSBR_HIDDEN
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
 
 pytestmark = pytest.mark.patient
 

@@ -16,14 +16,14 @@ import pytest
 from thorough import of_many
 from typer.testing import CliRunner
 
-from diagnosis.diagnose import diagnose
-from estimators.identify.run import with_values
-from service.cli import app
-from service.virtual.run import record
-from simulation.twsbr.hidden import TWSBR
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import diagnose
+from upright.estimators.identify.run import with_values
+from upright.service.cli import app
+from upright.service.virtual.run import record
+from upright.simulation.twsbr.hidden import TWSBR
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 SEED = 83
 """No decision was based on it."""

@@ -11,16 +11,16 @@ import pytest
 from scipy import stats
 from virtual_records import multisine
 
-from diagnosis.prepare.candidates import at_frequencies, candidates_for
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import DETECTABLE, ScoreTest, score_test
-from diagnosis.score.whitened import Whitened, project
-from estimators.fit.maximum_likelihood import fit
-from estimators.identify.run import with_values
-from models import library
-from models.effects.catalogue import CATALOGUE
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.prepare.candidates import at_frequencies, candidates_for
+from upright.diagnosis.prepare.workspace import Workspace, attached
+from upright.diagnosis.score.score_test import DETECTABLE, ScoreTest, score_test
+from upright.diagnosis.score.whitened import Whitened, project
+from upright.estimators.fit.maximum_likelihood import fit
+from upright.estimators.identify.run import with_values
+from upright.models import library
+from upright.models.effects.catalogue import CATALOGUE
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -11,31 +11,31 @@ import numpy as np
 import pytest
 from virtual_records import multisine
 
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.prepare.candidates import candidates_for
-from diagnosis.score.score_test import DETECTABLE
-from estimators.data.as_recorded import as_recorded
-from estimators.identify.run import with_values
-from estimators.roll_filter import RollFilter, RollFilterConfig
-from models import library, rendering
-from models.compiler.equations import compose
-from models.compiler.fingerprint import fingerprint
-from models.compiler.kernel import compile_model
-from models.effect import EffectParameter
-from models.effects.catalogue import find
-from models.file.document import ModelFile
-from models.file.effect_rules import validate
-from models.file.model_file import read, write
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Filter, Input, ModelError, Output, Parameter, Sensor, State
-from models.segment import Segment
-from models.sensing import FILTERED
-from service.virtual.run import record
-from telemetry.recording import Recording
-from telemetry.samples import ImuSample
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.prepare.candidates import candidates_for
+from upright.diagnosis.score.score_test import DETECTABLE
+from upright.estimators.data.as_recorded import as_recorded
+from upright.estimators.identify.run import with_values
+from upright.estimators.roll_filter import RollFilter, RollFilterConfig
+from upright.models import library, rendering
+from upright.models.compiler.equations import compose
+from upright.models.compiler.fingerprint import fingerprint
+from upright.models.compiler.kernel import compile_model
+from upright.models.effect import EffectParameter
+from upright.models.effects.catalogue import find
+from upright.models.file.document import ModelFile
+from upright.models.file.effect_rules import validate
+from upright.models.file.model_file import read, write
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Filter, Input, ModelError, Output, Parameter, Sensor, State
+from upright.models.segment import Segment
+from upright.models.sensing import FILTERED
+from upright.service.virtual.run import record
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import ImuSample
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 ROLL = library.get("monocab_roll")
 IMU = ROLL.sensors[0]

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.explain import explained_by_none, together
-from diagnosis.parts import merged
-from diagnosis.prediction.closed_loop_error import Loop
-from diagnosis.prediction.relevance import Relevance, percent
-from diagnosis.report.sentences import (
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
+from upright.diagnosis.explain import explained_by_none, together
+from upright.diagnosis.parts import merged
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.diagnosis.prediction.relevance import Relevance, percent
+from upright.diagnosis.report.sentences import (
     disturbance_sentences,
     disturbance_text,
     mattering,
@@ -20,7 +20,7 @@ from diagnosis.report.sentences import (
     two_digits,
     untried_sentence,
 )
-from estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
 
 SHAKEN = DisturbanceEstimate("roll", "N m", 8.1, 0.4, 0.31, 0.03)
 STILL = DisturbanceEstimate("roll", "N m", 2.0, None, None, None, shown=False)

@@ -12,29 +12,29 @@ from scipy.stats import binom
 from shaken_plant import Shaken
 from thorough import of_many
 
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.lack_of_fit.events import LEVEL, _best, _by_chance
-from diagnosis.prediction.compare import compare
-from diagnosis.prepare.ready import ready, unready
-from estimators.budget import Budget, OutOfTime
-from estimators.fit.disturbance import disturbances
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.likelihood import Likelihood
-from estimators.fit.maximum_likelihood import MUCH, Begin, Fit, fit, noise_of
-from estimators.fit.problem import Problem, problem
-from estimators.identify.run import with_values
-from estimators.methods.prediction_error import prediction_error
-from estimators.numbers import with_error
-from models.effect import Effect, EffectParameter, EffectState, Family
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Disturbance, Place, State
-from models.random.disturbance import disturbed, undisturbed
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
-from telemetry.storage import load as load_recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.lack_of_fit.events import LEVEL, _best, _by_chance
+from upright.diagnosis.prediction.compare import compare
+from upright.diagnosis.prepare.ready import ready, unready
+from upright.estimators.budget import Budget, OutOfTime
+from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.likelihood import Likelihood
+from upright.estimators.fit.maximum_likelihood import MUCH, Begin, Fit, fit, noise_of
+from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.identify.run import with_values
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.estimators.numbers import with_error
+from upright.models.effect import Effect, EffectParameter, EffectState, Family
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Disturbance, Place, State
+from upright.models.random.disturbance import disturbed, undisturbed
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load as load_recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(

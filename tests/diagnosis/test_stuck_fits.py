@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from diagnosis.diagnose import diagnose
-from diagnosis.parts import diagnose_actuators
-from estimators.identify.run import with_values
-from models.effects.catalogue import find
-from service.virtual.run import record
-from vehicles import registry
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import diagnose
+from upright.diagnosis.parts import diagnose_actuators
+from upright.estimators.identify.run import with_values
+from upright.models.effects.catalogue import find
+from upright.service.virtual.run import record
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 VALUES, DEVIATIONS = VEHICLE.parameters.values, VEHICLE.parameters.deviations

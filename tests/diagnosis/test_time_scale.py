@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from thorough import of_many
 
-from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
-from diagnosis.prepare.usable import check, needed
-from estimators.data.segments import DataError, segments
-from estimators.data.time_scale import motion_time, time_scale
-from models.attach import starts
-from models.effects.catalogue import CATALOGUE
-from models.file.model_file import load_model
-from models.model import Model
-from models.natural_time import natural_time
-from models.parts import ModelError
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
-from vehicles.monocab.model import MODELS as MONOCABS
-from vehicles.twsbr.model import MODELS as ROBOTS
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
+from upright.diagnosis.prepare.usable import check, needed
+from upright.estimators.data.segments import DataError, segments
+from upright.estimators.data.time_scale import motion_time, time_scale
+from upright.models.attach import starts
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.file.model_file import load_model
+from upright.models.model import Model
+from upright.models.natural_time import natural_time
+from upright.models.parts import ModelError
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
+from upright.vehicles.monocab.model import MODELS as MONOCABS
+from upright.vehicles.twsbr.model import MODELS as ROBOTS
 
 PACES = (0.01, 1.0, 100.0)
 """Seconds that the plant takes for what takes one second at pace 1."""

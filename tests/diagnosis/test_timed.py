@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.prepare.time_offsets import EARLIEST, LATEST, OFFSET, timed, untimed
-from models import library
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Parameter
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
+from upright.diagnosis.prepare.time_offsets import EARLIEST, LATEST, OFFSET, timed, untimed
+from upright.models import library
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
 
 
 def recorded(spacing: float, count: int = 5) -> Recording:

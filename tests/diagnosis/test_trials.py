@@ -9,11 +9,11 @@ import pytest
 from thorough import of_many
 
 from benchmarks.free_decays import Body
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.trial import tried
-from estimators.contract import EstimationError
-from models.effect import Effect, EffectParameter, Family
-from models.parts import Place
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.trial import tried
+from upright.estimators.contract import EstimationError
+from upright.models.effect import Effect, EffectParameter, Family
+from upright.models.parts import Place
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -20,23 +20,23 @@ import pytest
 from thorough import of_many
 from typer.testing import CliRunner
 
-from diagnosis.live.live import LiveDiagnosis
-from diagnosis.live.naming import LiveResult
-from estimators.contract import EstimationError
-from estimators.data.segments import after_settling
-from estimators.recursive.frame_chunks import Chunk, FrameChunks
-from models import library
-from models.file.document import ModelFile
-from models.file.model_file import read, write
-from models.model import Model
-from service.cli import app
-from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
-from service.offline.replay import live_diagnosis
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.registry import nominal_model
-from vehicles.twsbr.channels import CHANNELS as TWSBR
+from upright.diagnosis.live.live import LiveDiagnosis
+from upright.diagnosis.live.naming import LiveResult
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.segments import after_settling
+from upright.estimators.recursive.frame_chunks import Chunk, FrameChunks
+from upright.models import library
+from upright.models.file.document import ModelFile
+from upright.models.file.model_file import read, write
+from upright.models.model import Model
+from upright.service.cli import app
+from upright.service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from upright.service.offline.replay import live_diagnosis
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
+from upright.vehicles.twsbr.channels import CHANNELS as TWSBR
 
 VEHICLE = load("twsbr")
 MODEL = nominal_model("twsbr")

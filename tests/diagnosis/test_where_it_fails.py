@@ -8,10 +8,10 @@ import axis_plant
 import numpy as np
 import pytest
 
-from diagnosis.lack_of_fit.floor import with_nuisances
-from diagnosis.lack_of_fit.where_it_fails import LEVEL, VIEWS, Views, summary, views
-from estimators.fit.problem import problem
-from telemetry.recording import Recording
+from upright.diagnosis.lack_of_fit.floor import with_nuisances
+from upright.diagnosis.lack_of_fit.where_it_fails import LEVEL, VIEWS, Views, summary, views
+from upright.estimators.fit.problem import problem
+from upright.telemetry.recording import Recording
 
 
 def views_of(*recordings: Recording, process_noise: float = 1e-3, **values: float) -> Views:

@@ -7,22 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_BY_IMPACTS, SHAPED, Adequacy
-from diagnosis.lack_of_fit.shapes import Shape
-from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
-from estimators.identify.run import with_values
-from models import library
-from models.attach import check_names
-from models.compiler.kernel import compile_model
-from models.effect import Effect
-from models.effects.catalogue import find
-from models.parts import ModelError
-from models.segment import Segment
-from service.virtual.run import record
-from simulation.monocab.hidden import HIDDEN
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_BY_IMPACTS, SHAPED, Adequacy
+from upright.diagnosis.lack_of_fit.shapes import Shape
+from upright.diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
+from upright.estimators.identify.run import with_values
+from upright.models import library
+from upright.models.attach import check_names
+from upright.models.compiler.kernel import compile_model
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import find
+from upright.models.parts import ModelError
+from upright.models.segment import Segment
+from upright.service.virtual.run import record
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -15,11 +15,11 @@ from canopen.objectdictionary import ODVariable, datatypes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import bus as bus_module
-from drivers.bus import Bus, BusDown, BusError, BusGroup
-from drivers.canopen_link import CanopenLink
-from drivers.error_frames import ControllerState, ErrorClass, decode
-from telemetry.samples import CanFrame
+from upright.drivers import bus as bus_module
+from upright.drivers.bus import Bus, BusDown, BusError, BusGroup
+from upright.drivers.canopen_link import CanopenLink
+from upright.drivers.error_frames import ControllerState, ErrorClass, decode
+from upright.telemetry.samples import CanFrame
 
 MULTICAST = "udp_multicast:239.74.163.77"
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402 import emergency, nmt, states
-from drivers.cia402.config import DriveConfig, DriveConfigError, find_eds
-from drivers.cia402.drive import Drive
-from drivers.cia402.nmt import NmtCommand, NmtState
-from drivers.cia402.states import FaultReset, FaultResetOutcome, State, classify, controlword_towards
-from telemetry.samples import CanFrame
+from upright.drivers.cia402 import emergency, nmt, states
+from upright.drivers.cia402.config import DriveConfig, DriveConfigError, find_eds
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.nmt import NmtCommand, NmtState
+from upright.drivers.cia402.states import FaultReset, FaultResetOutcome, State, classify, controlword_towards
+from upright.telemetry.samples import CanFrame
 
 GIMBAL = DriveConfig(
     name="gimbal",

@@ -10,15 +10,15 @@ from pathlib import Path
 import canopen
 import pytest
 
-from drivers.cia402 import objects, pdo, states
-from drivers.cia402.config import DriveConfig
-from drivers.cia402.drive import Drive
-from drivers.cia402.eds import load
-from drivers.cia402.nmt import NmtState
-from drivers.cia402.objects import ObjectEntry
-from drivers.cia402.sdo import SdoDialogue
-from drivers.cia402.states import State
-from telemetry.samples import CanFrame
+from upright.drivers.cia402 import objects, pdo, states
+from upright.drivers.cia402.config import DriveConfig
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.eds import load
+from upright.drivers.cia402.nmt import NmtState
+from upright.drivers.cia402.objects import ObjectEntry
+from upright.drivers.cia402.sdo import SdoDialogue
+from upright.drivers.cia402.states import State
+from upright.telemetry.samples import CanFrame
 
 pytestmark = pytest.mark.measured
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers import socketcan
-from drivers.frame_clock import STEP, FrameClock
-from drivers.message_port import converted
-from telemetry.samples import CanFrame
+from upright.drivers import socketcan
+from upright.drivers.frame_clock import STEP, FrameClock
+from upright.drivers.message_port import converted
+from upright.telemetry.samples import CanFrame
 
 MS, S = 1_000_000, 1_000_000_000
 PERIOD = 4 * MS

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.imu import Imu, ImuHealth
-from drivers.imu_format import ImuFormatError, check_format, recognise_format
-from drivers.imu_layout import (
+from upright.drivers.imu import Imu, ImuHealth
+from upright.drivers.imu_format import ImuFormatError, check_format, recognise_format
+from upright.drivers.imu_layout import (
     ACCELERATION,
     ANGULAR_RATE,
     STANDARD_GRAVITY,
@@ -22,7 +22,7 @@ from drivers.imu_layout import (
     encode_frames,
     rotation_of,
 )
-from telemetry.samples import CanFrame, ImuSample
+from upright.telemetry.samples import CanFrame, ImuSample
 
 PERIOD_NS = 4_000_000
 CANOPEN = ImuConfig(

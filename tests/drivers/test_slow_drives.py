@@ -15,13 +15,13 @@ import pytest
 from lock_step_network import LockStepNetwork
 from simulated_bus import GIMBAL_PER_TURN, drive_nodes
 
-from drivers.cia402.config import DriveConfig
-from drivers.cia402.sdo import DriveSetupError
-from drivers.cia402.setup import DriveReport, Supervision, configure
-from simulation.bus.object_dictionary import read_number
-from simulation.config import SimulationConfig
-from simulation.drive_habits import DriveHabits, Key
-from simulation.monocab.truth import PlantTruth
+from upright.drivers.cia402.config import DriveConfig
+from upright.drivers.cia402.sdo import DriveSetupError
+from upright.drivers.cia402.setup import DriveReport, Supervision, configure
+from upright.simulation.bus.object_dictionary import read_number
+from upright.simulation.config import SimulationConfig
+from upright.simulation.drive_habits import DriveHabits, Key
+from upright.simulation.monocab.truth import PlantTruth
 
 SUPERVISION = Supervision(
     master_node=127, heartbeat_period=0.04, heartbeat_timeout=0.12, rpdo_timeout=0.02, cycle_period=0.004

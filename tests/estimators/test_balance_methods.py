@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 import small_vehicle
 
-from estimators.contract import Estimate, EstimationError, Status
-from estimators.data.state_variable_filter import StateVariableFilter
-from estimators.methods.balance import Pieces, split
-from estimators.methods.instrumental_variables import instrumental_variables as any_instruments
-from estimators.methods.least_squares import filtered, least_squares
-from models.library import get
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Parameter
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording, describe
+from upright.estimators.contract import Estimate, EstimationError, Status
+from upright.estimators.data.state_variable_filter import StateVariableFilter
+from upright.estimators.methods.balance import Pieces, split
+from upright.estimators.methods.instrumental_variables import instrumental_variables as any_instruments
+from upright.estimators.methods.least_squares import filtered, least_squares
+from upright.models.library import get
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording, describe
 
 Method = Callable[..., Estimate]
 instrumental_variables = partial(any_instruments, setpoint="precession_rate_setpoint")

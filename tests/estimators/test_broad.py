@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import broad
-from vehicles import file as vehicle_file
+from upright.vehicles import file as vehicle_file
 
 
 @pytest.fixture(scope="module")

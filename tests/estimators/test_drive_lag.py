@@ -12,16 +12,19 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.methods.drive_lag import drive_lag as any_drive_lag
-from estimators.speed_loop import MODES, Loop, predict, windows_of
-from service.virtual.run import record
-from simulation.monocab.truth import PlantTruth
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording, describe
-from vehicles.file import load
-from vehicles.monocab.identification.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
-from vehicles.monocab.identification.own import GIMBALS
+from upright.estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from upright.estimators.methods.drive_lag import drive_lag as any_drive_lag
+from upright.estimators.speed_loop import MODES, Loop, predict, windows_of
+from upright.service.virtual.run import record
+from upright.simulation.monocab.truth import PlantTruth
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording, describe
+from upright.vehicles.file import load
+from upright.vehicles.monocab.identification.apparent_inertia import (
+    apparent_inertia_estimate,
+    measured_apparent_inertia,
+)
+from upright.vehicles.monocab.identification.own import GIMBALS
 
 CHANNELS = ("precession_rate_setpoint", "precession_rate", "drive_age", "roll_rate")
 FINE = 1e-4

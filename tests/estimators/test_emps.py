@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from axis_balance import AxisBalance
 
-from estimators.contract import Status
-from telemetry.channels import Channel, ChannelTable
-from telemetry.samples import Frame
+from upright.estimators.contract import Status
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.samples import Frame
 
 CHANNELS = ChannelTable((Channel("position", "m", "of the carriage"), Channel("force", "N", "of the motor on it")))
 FORCE_PER_VOLT = 35.15065

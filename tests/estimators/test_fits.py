@@ -12,15 +12,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import estimators
-from estimators.contract import Estimate, EstimationError, Status
-from estimators.data.segments import DataError, clipped_share, segments
-from models import library
-from models.model import Model
-from models.parts import ModelError
-from service.virtual.run import record
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
+from upright import estimators
+from upright.estimators.contract import Estimate, EstimationError, Status
+from upright.estimators.data.segments import DataError, clipped_share, segments
+from upright.models import library
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.virtual.run import record
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
 
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 0.0}
 FITS = (estimators.prediction_error, estimators.output_error)

@@ -10,11 +10,11 @@ import pytest
 import small_vehicle
 from scipy.signal import lfilter
 
-from estimators.contract import Estimate, EstimationError, Status
-from estimators.data.segments import DataError
-from estimators.methods.balance import split
-from estimators.methods.frequency_equation_error import equation_fit, frequency_equation_error
-from estimators.methods.frequency_output_error import (
+from upright.estimators.contract import Estimate, EstimationError, Status
+from upright.estimators.data.segments import DataError
+from upright.estimators.methods.balance import split
+from upright.estimators.methods.frequency_equation_error import equation_fit, frequency_equation_error
+from upright.estimators.methods.frequency_output_error import (
     Denominator,
     amplitude_fit,
     denominator_of,
@@ -22,7 +22,7 @@ from estimators.methods.frequency_output_error import (
     narrowed,
     usable,
 )
-from estimators.methods.frequency_response import (
+from upright.estimators.methods.frequency_response import (
     Detrend,
     FrequencyResponse,
     cross_spectra,
@@ -30,12 +30,12 @@ from estimators.methods.frequency_response import (
     frequency_response,
     response,
 )
-from models.library import get
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Parameter
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
+from upright.models.library import get
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
 
 Method = Callable[..., Estimate]
 METHODS = [frequency_output_error, frequency_equation_error]
@@ -388,6 +388,6 @@ def test_two_frequencies_are_too_few_for_two_parameters() -> None:
 
 
 def test_simplex_that_does_not_converge_gives_no_value(sweep: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("estimators.methods.frequency_output_error.STEPS", 20)
+    monkeypatch.setattr("upright.estimators.methods.frequency_output_error.STEPS", 20)
     estimate = frequency_output_error(EXACT_ANCHORS, [sweep], support=SUPPORT)
     assert_unknown(estimate, Status.NOT_CONVERGED, "did not converge in 20 steps")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimators.fit.gauss_newton import Block, Expansion, Normal, descend, minimise
+from upright.estimators.fit.gauss_newton import Block, Expansion, Normal, descend, minimise
 
 TIME = np.linspace(0.0, 3.0, 60)
 RANDOM = np.random.default_rng(8)

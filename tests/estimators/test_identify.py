@@ -16,22 +16,22 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-import estimators
-from diagnosis.report.figures.methods import method_figure, save_methods
-from estimators.contract import EstimationError
-from estimators.identify.run import identify, plan, with_values
-from estimators.identify.table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
-from models.file.document import ModelFile
-from models.file.model_file import write
-from models.parts import ModelError
-from service.cli import app
-from service.pages.identify import print_methods
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.monocab.identification.own import OWN
-from vehicles.registry import UnknownKindError, nominal_model
+from upright import estimators
+from upright.diagnosis.report.figures.methods import method_figure, save_methods
+from upright.estimators.contract import EstimationError
+from upright.estimators.identify.run import identify, plan, with_values
+from upright.estimators.identify.table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
+from upright.models.file.document import ModelFile
+from upright.models.file.model_file import write
+from upright.models.parts import ModelError
+from upright.service.cli import app
+from upright.service.pages.identify import print_methods
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.monocab.identification.own import OWN
+from upright.vehicles.registry import UnknownKindError, nominal_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = runpy.run_path(str(EXAMPLES / "compare_methods.py"))

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from closed_loop import ClosedLoop
 
-from diagnosis.prediction.compare import compare
-from estimators.identify.run import identify, with_values
-from simulation.monocab.truth import PlantTruth
-from telemetry.recording import Recording
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.monocab.identification.own import OWN
-from vehicles.monocab.identification.torque_balance import Method, TorqueBalance
-from vehicles.registry import nominal_model
+from upright.diagnosis.prediction.compare import compare
+from upright.estimators.identify.run import identify, with_values
+from upright.simulation.monocab.truth import PlantTruth
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.monocab.identification.own import OWN
+from upright.vehicles.monocab.identification.torque_balance import Method, TorqueBalance
+from upright.vehicles.registry import nominal_model
 
 TRUTH = PlantTruth()
 METHOD = Method.PLAIN.value

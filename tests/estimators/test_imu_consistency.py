@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.imu_consistency import ImuConsistency
-from vehicles.bounds import CONTRADICTION
+from upright.estimators.imu_consistency import ImuConsistency
+from upright.vehicles.bounds import CONTRADICTION
 
 RATE, STD = 250.0, 0.2
 SECOND = round(RATE)

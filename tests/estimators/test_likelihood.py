@@ -8,15 +8,15 @@ import golden
 import numpy as np
 import pytest
 
-from estimators.fit import innovations
-from estimators.fit.gauss_newton import common_information
-from estimators.fit.innovations import NoiseModel
-from estimators.fit.likelihood import Likelihood, _at_least
-from estimators.fit.problem import Problem, problem
-from estimators.fit.stationary import stationary_all
-from models import library
-from models.compiler.kernel import ELSEWHERE
-from telemetry.recording import Recording
+from upright.estimators.fit import innovations
+from upright.estimators.fit.gauss_newton import common_information
+from upright.estimators.fit.innovations import NoiseModel
+from upright.estimators.fit.likelihood import Likelihood, _at_least
+from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.fit.stationary import stationary_all
+from upright.models import library
+from upright.models.compiler.kernel import ELSEWHERE
+from upright.telemetry.recording import Recording
 
 
 @pytest.fixture(scope="module")

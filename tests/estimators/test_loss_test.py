@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from estimators.loss_test import SURE, USUAL, LossTest
+from upright.estimators.loss_test import SURE, USUAL, LossTest
 
 
 def cycles_until_sure(share: float, cycles: int, seed: int) -> int | None:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimators.contract import Estimate
-from estimators.fit.problem import problem
-from estimators.identify.validation import Validation, validate
+from upright.estimators.contract import Estimate
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.validation import Validation, validate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EMPS = runpy.run_path(str(EXAMPLES / "emps.py"))
@@ -86,9 +86,9 @@ def test_quarter_drone_is_predicted_on_held_out_records(measured_data: Path) -> 
 
 def test_model_with_the_true_values_is_perfect_on_a_noise_free_record() -> None:
     """An axis of 2 kg under a square wave, computed by hand; a wrong mass lowers the figures by the expected amount."""
-    from estimators.methods import prediction_error
-    from telemetry.channels import Channel, ChannelTable
-    from telemetry.recording import Recording
+    from upright.estimators.methods import prediction_error
+    from upright.telemetry.channels import Channel, ChannelTable
+    from upright.telemetry.recording import Recording
 
     step = 0.01
     force = np.repeat(np.where(np.arange(40) % 2 == 0, 1.0, -1.0), 25)

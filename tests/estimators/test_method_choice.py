@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import unstable_plant
 
-from diagnosis.report import write_identification
-from estimators.identify.choice import OWN, SHORT, Choice, choose
-from estimators.identify.common_fit import HORIZON, CommonPredictor
-from estimators.identify.run import identify
-from estimators.identify.table import METHODS
-from models.model import Model
-from service.pages.identify import print_methods
-from telemetry.recording import Recording
+from upright.diagnosis.report import write_identification
+from upright.estimators.identify.choice import OWN, SHORT, Choice, choose
+from upright.estimators.identify.common_fit import HORIZON, CommonPredictor
+from upright.estimators.identify.run import identify
+from upright.estimators.identify.table import METHODS
+from upright.models.model import Model
+from upright.service.pages.identify import print_methods
+from upright.telemetry.recording import Recording
 
 SIMULATED = ("output_error", "output_error_simplex", "recursive_output_error")
 

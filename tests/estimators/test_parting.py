@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from estimators.parting import SIGMAS, Parting, partings
+from upright.estimators.parting import SIGMAS, Parting, partings
 
 
 def results(**values: tuple[float | None, float | None]) -> dict[str, Any]:

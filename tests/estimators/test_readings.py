@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from pendulum_plant import Missing, nothing, write
 
-from estimators.readings.question import question
-from models.file.model_file import load_model
-from models.model import Model
-from service.offline.wanted import wanted
-from telemetry.recording import Recording
-from telemetry.storage import load
-from telemetry.tables.mapping import said_of
+from upright.estimators.readings.question import question
+from upright.models.file.model_file import load_model
+from upright.models.model import Model
+from upright.service.offline.wanted import wanted
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load
+from upright.telemetry.tables.mapping import said_of
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
 Change = Callable[[Recording], Recording]

@@ -16,14 +16,14 @@ import small_vehicle
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from estimators.contract import Estimate, EstimationError, Status
-from estimators.data.segments import DataError, segments
-from estimators.fit.problem import jacobian
-from estimators.identify.run import with_values
-from estimators.methods.prediction_error import prediction_error
-from estimators.recursive.frame_chunks import Chunk, FrameChunks, join
-from estimators.recursive.gauss_newton import RecursiveGaussNewton
-from estimators.recursive.prediction_error import (
+from upright.estimators.contract import Estimate, EstimationError, Status
+from upright.estimators.data.segments import DataError, segments
+from upright.estimators.fit.problem import jacobian
+from upright.estimators.identify.run import with_values
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.estimators.recursive.frame_chunks import Chunk, FrameChunks, join
+from upright.estimators.recursive.gauss_newton import RecursiveGaussNewton
+from upright.estimators.recursive.prediction_error import (
     GROWTH,
     WINDOW,
     Method,
@@ -31,16 +31,16 @@ from estimators.recursive.prediction_error import (
     at_rest,
     longest_window,
 )
-from models import library
-from models.model import Model
-from models.parts import Hold
-from service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
-from telemetry.samples import Frame
-from vehicles.file import load
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.registry import channels_of, names, nominal_model
+from upright.models import library
+from upright.models.model import Model
+from upright.models.parts import Hold
+from upright.service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import Frame
+from upright.vehicles.file import load
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.registry import channels_of, names, nominal_model
 
 Array = NDArray[np.float64]
 

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.contract import EstimationError, Status
-from estimators.data.segments import DataError, clipped_share, segments
-from estimators.fit.maximum_likelihood import Begin, Fit, fit
-from estimators.fit.problem import problem
-from estimators.identify.bounded_fit import RISE, BoundedFit, bounded_fit, profile, with_table
-from estimators.identify.combinations import combinations
-from estimators.identify.validation import in_windows, on_others
-from estimators.methods.prediction_error import predicted_percent, prediction_error
-from models.expressions import number
-from models.library import get
-from service.cli import app
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
+from upright.estimators.contract import EstimationError, Status
+from upright.estimators.data.segments import DataError, clipped_share, segments
+from upright.estimators.fit.maximum_likelihood import Begin, Fit, fit
+from upright.estimators.fit.problem import problem
+from upright.estimators.identify.bounded_fit import RISE, BoundedFit, bounded_fit, profile, with_table
+from upright.estimators.identify.combinations import combinations
+from upright.estimators.identify.validation import in_windows, on_others
+from upright.estimators.methods.prediction_error import predicted_percent, prediction_error
+from upright.models.expressions import number
+from upright.models.library import get
+from upright.service.cli import app
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "estimate_robot.py"))
 MODEL = get("twsbr")

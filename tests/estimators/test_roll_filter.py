@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.roll_filter import GRAVITY, RollFilter, RollFilterConfig, RollState
-from telemetry.samples import ImuSample, Vector3
+from upright.estimators.roll_filter import GRAVITY, RollFilter, RollFilterConfig, RollState
+from upright.telemetry.samples import ImuSample, Vector3
 
 MONOCAB = RollFilterConfig(
     rate=250.0,

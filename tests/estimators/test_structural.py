@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.contract import EstimationError
-from estimators.identify.structural import SMALL, Motion, generic_motions, reduced, structure
-from models.library import get
-from models.model import Model
-from models.parts import Hold, Input, ModelError, Output, Parameter, State
-from models.segment import Segment
-from vehicles.twsbr.model import IDENTIFIABLE_AT_LARGE_TILT, IDENTIFIABLE_IN_TURNS, IDENTIFIABLE_NEAR_UPRIGHT
+from upright.estimators.contract import EstimationError
+from upright.estimators.identify.structural import SMALL, Motion, generic_motions, reduced, structure
+from upright.models.library import get
+from upright.models.model import Model
+from upright.models.parts import Hold, Input, ModelError, Output, Parameter, State
+from upright.models.segment import Segment
+from upright.vehicles.twsbr.model import IDENTIFIABLE_AT_LARGE_TILT, IDENTIFIABLE_IN_TURNS, IDENTIFIABLE_NEAR_UPRIGHT
 
 TWSBR = get("twsbr")
 BOTH_SIDES = (("left_voltage", "right_voltage"), ("left_wheel_rate", "right_wheel_rate"))

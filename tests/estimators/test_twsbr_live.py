@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from thorough import of_many
 
-from estimators.contract import Estimate, Status
-from estimators.identify.run import identify
-from estimators.methods.prediction_error import prediction_error
-from estimators.recursive.prediction_error import RecursivePredictionError
-from models.expressions import number
-from service.observer.online_estimators import RECURSION, SIMULATION, STARTING, EstimatorBank, online_estimators
-from service.offline.replay import replay
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.recording import Recording
-from telemetry.samples import Frame
-from vehicles.file import load
-from vehicles.registry import nominal_model
-from vehicles.twsbr.channels import CHANNELS as TWSBR
-from vehicles.twsbr.model import COUNT, IDENTIFIABLE_NEAR_UPRIGHT
+from upright.estimators.contract import Estimate, Status
+from upright.estimators.identify.run import identify
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.estimators.recursive.prediction_error import RecursivePredictionError
+from upright.models.expressions import number
+from upright.service.observer.online_estimators import RECURSION, SIMULATION, STARTING, EstimatorBank, online_estimators
+from upright.service.offline.replay import replay
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import Frame
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
+from upright.vehicles.twsbr.channels import CHANNELS as TWSBR
+from upright.vehicles.twsbr.model import COUNT, IDENTIFIABLE_NEAR_UPRIGHT
 
 VEHICLE = load("twsbr")
 GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}

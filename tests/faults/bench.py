@@ -15,19 +15,19 @@ from typing import Any, NamedTuple
 
 import canopen
 
-from drivers.cia402.nmt import NmtCommand, command_frame
-from drivers.cia402.setup import DriveReport, Supervision, configure
-from drivers.vehicle_io import VehicleIo
-from service.control import assembly
-from service.control.loop import Mode, deadline
-from service.virtual import run as virtual_run
-from service.virtual.passenger import carried
-from simulation.bus.drive_node import VirtualDrive
-from simulation.bus.power_state import PowerState
-from telemetry.errors import UprightError
-from telemetry.samples import CanFrame
-from vehicles.file import VehicleFile
-from vehicles.phases import Phase
+from upright.drivers.cia402.nmt import NmtCommand, command_frame
+from upright.drivers.cia402.setup import DriveReport, Supervision, configure
+from upright.drivers.vehicle_io import VehicleIo
+from upright.service.control import assembly
+from upright.service.control.loop import Mode, deadline
+from upright.service.virtual import run as virtual_run
+from upright.service.virtual.passenger import carried
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.simulation.bus.power_state import PowerState
+from upright.telemetry.errors import UprightError
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import VehicleFile
+from upright.vehicles.phases import Phase
 
 Received = Callable[[CanFrame], list[CanFrame]]
 """What becomes of a frame from the vehicle: nothing, itself, others."""

@@ -12,9 +12,9 @@ from typing import Any
 
 from faults.bench import Bench
 from faults.fault import DETECTED
-from simulation.bus.drive_node import VirtualDrive
-from simulation.bus.objects import POSITION_ACTUAL, VELOCITY_ACTUAL
-from telemetry.samples import CanFrame
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.simulation.bus.objects import POSITION_ACTUAL, VELOCITY_ACTUAL
+from upright.telemetry.samples import CanFrame
 
 RATE = {"gimbal": 0.05, "trim": 0.005}
 """rad/s and m/s by which the rate of an axis has to be wrong."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 
 from faults.bench import Bench
-from vehicles.bounds import Code
+from upright.vehicles.bounds import Code
 
 DETECTED = 0.1
 """s within which a fault has to be detected."""

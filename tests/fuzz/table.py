@@ -23,7 +23,7 @@ from fuzz.target import Target
 from fuzz.targets import TARGETS
 from fuzz.trial import REPOSITORY, Account, Failure
 from fuzz.worker import written
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 COLUMNS = ("target", "inputs", "accepted", "refused", "crashes", "hangs", "too large", "slowest s", "growth MB")
 WIDTHS = (12, 9, 9, 9, 8, 6, 10, 10, 9)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 Trial = Callable[[bytes], None]
 """Takes one input. It returns if that was used, and raises an UprightError if it was refused; all else is a crash."""

@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis.strategies import SearchStrategy
 
 from fuzz.target import Target, Trial
-from telemetry.errors import UprightError
+from upright.telemetry.errors import UprightError
 
 BATCH = 500
 """Inputs of one run of Hypothesis, which remembers what it tried."""

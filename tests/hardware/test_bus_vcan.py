@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bus import Bus, BusDown, BusError, BusGroup
-from drivers.error_frames import ErrorClass
-from drivers.socketcan import start_clock
-from telemetry.samples import CanFrame
+from upright.drivers.bus import Bus, BusDown, BusError, BusGroup
+from upright.drivers.error_frames import ErrorClass
+from upright.drivers.socketcan import start_clock
+from upright.telemetry.samples import CanFrame
 
 pytestmark = pytest.mark.vcan
 

@@ -14,10 +14,10 @@ import pytest
 import rig as shared
 from rig import Rig
 
-from service.commission.guide import Guide
-from service.observer.online_estimators import online_estimators
-from vehicles.commissioning import Entry, State, is_within
-from vehicles.file import load
+from upright.service.commission.guide import Guide
+from upright.service.observer.online_estimators import online_estimators
+from upright.vehicles.commissioning import Entry, State, is_within
+from upright.vehicles.file import load
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(1500)]
 

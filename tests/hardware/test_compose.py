@@ -21,8 +21,8 @@ import pytest
 import typer
 import yaml
 
-from service.cli import app
-from vehicles.file import load
+from upright.service.cli import app
+from upright.vehicles.file import load
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PLAIN, CAN = "docker-compose.yml", "docker-compose.can.yml"

@@ -19,12 +19,12 @@ import pytest
 import rig as shared
 from rig import HEARTBEAT_TIMEOUT, UPRIGHT, Rig
 
-from service.control.api import ApiError
-from service.observer.online_estimators import online_estimators
-from telemetry.candump import CandumpReader
-from telemetry.storage import load as load_recording
-from vehicles.file import load
-from vehicles.phases import Phase
+from upright.service.control.api import ApiError
+from upright.service.observer.online_estimators import online_estimators
+from upright.telemetry.candump import CandumpReader
+from upright.telemetry.storage import load as load_recording
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 

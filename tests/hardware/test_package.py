@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from guest_service import REPOSITORY, journal, open_to_the_service, run, show, wait_for_mode, write_vehicle
 
-from service.control.loop import Mode
+from upright.service.control.loop import Mode
 
 pytestmark = [pytest.mark.systemd, pytest.mark.timeout(240)]
 
@@ -102,7 +102,7 @@ def test_package_is_installed_replaced_at_rest_and_removed(wheels: Path, tmp_pat
     assert run("id", "--name", "--user", "upright") == "upright"
     assert (show("UnitFileState"), show("ActiveState")) == ("disabled", "inactive"), "a person starts the service"
 
-    where = run("/opt/upright/.venv/bin/python", "-I", "-c", "import service; print(service.__file__)")
+    where = run("/opt/upright/.venv/bin/python", "-I", "-c", "import upright; print(upright.__file__)")
     assert where.startswith("/opt/upright/.venv/")
 
     own = Path("/etc/systemd/system/upright.service.d/guest.conf")

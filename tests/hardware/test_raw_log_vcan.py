@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 from observer_harness import until
 
-from service.observer.raw_log_client import RawLogProcess
-from telemetry.candump import CandumpReader
-from telemetry.samples import CanFrame
+from upright.service.observer.raw_log_client import RawLogProcess
+from upright.telemetry.candump import CandumpReader
+from upright.telemetry.samples import CanFrame
 
 pytestmark = pytest.mark.vcan
 
@@ -221,7 +221,8 @@ async def test_killed_process_leaves_complete_lines_and_its_end_is_reported(
 
 MASTER = """
 import subprocess, sys, time
-log = subprocess.Popen([sys.executable, "-m", "service.observer.raw_log", "vcan0"], stdin=subprocess.PIPE, bufsize=0)
+command = [sys.executable, "-m", "upright.service.observer.raw_log", "vcan0"]
+log = subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0)
 log.stdin.write(b"open 0 {path}\\n")
 print(log.pid, flush=True)
 time.sleep(60)

@@ -38,7 +38,7 @@ from guest_service import (
     write_vehicle,
 )
 
-from service.control.loop import Mode
+from upright.service.control.loop import Mode
 
 pytestmark = [pytest.mark.systemd, pytest.mark.timeout(90)]
 
@@ -109,7 +109,7 @@ def test_service_is_ready_disarmed_and_not_root(service: dict[str, Any]) -> None
     assert main.stat().st_uid == int(run("id", "--user", "upright")) != 0
     answer = json.loads(run(UPRIGHT, "status", "--json", "--socket", SOCKET))
     assert answer["mode"] == "disarmed"
-    observer = Path("/proc") / run("pgrep", "--full", "service.observer.process")
+    observer = Path("/proc") / run("pgrep", "--full", "upright.service.observer.process")
     assert [int((process / "oom_score_adj").read_text()) for process in (main, observer)] == [-900, 500]
 
 

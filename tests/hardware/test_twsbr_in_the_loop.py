@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rig import rig
 
-from telemetry.storage import load as load_recording
-from vehicles.file import load
-from vehicles.phases import Phase
+from upright.telemetry.storage import load as load_recording
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(120)]
 

@@ -11,8 +11,8 @@ import typer
 from pydantic import BaseModel
 
 import upright
-from service.cli import app
-from vehicles import registry
+from upright.service.cli import app
+from upright.vehicles import registry
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"

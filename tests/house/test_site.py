@@ -18,7 +18,7 @@ from playwright.sync_api import Page, expect
 from watched import PATIENCE, chromium
 
 import upright
-from models.effects.catalogue import CATALOGUE
+from upright.models.effects.catalogue import CATALOGUE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BUILD = REPOSITORY / "docs" / "site" / "build.py"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vehicles import registry
+from upright.vehicles import registry
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("telemetry", "models", "drivers", "estimators", "diagnosis", "vehicles", "simulation", "service")
@@ -39,7 +39,7 @@ def _named(kind: str, elsewhere: tuple[str, ...]) -> list[str]:
         name = path.relative_to(REPOSITORY).as_posix()
         if name.startswith((*own, *elsewhere)):
             continue
-        modules = (f"vehicles.{kind}.", f"simulation.{kind}.")
+        modules = (f"upright.vehicles.{kind}.", f"upright.simulation.{kind}.")
         found += [f"{name}:{line}" for line, word in _words(path) if word == kind or word.startswith(modules)]
     return found
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.control_design import (
+from upright.models.control_design import (
     ControlDesignError,
     LqiGains,
     LqiWeights,
@@ -18,9 +18,9 @@ from models.control_design import (
     design_lqi,
     discretise,
 )
-from models.control_robustness import Estimated, Spread, checked_design, corners, margins
-from vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
-from vehicles.monocab.control.roll_design import UNCERTAIN, design_roll_controller
+from upright.models.control_robustness import Estimated, Spread, checked_design, corners, margins
+from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
+from upright.vehicles.monocab.control.roll_design import UNCERTAIN, design_roll_controller
 
 CAD = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
 TRUTH = replace(CAD, inertia=1795.0, gravity_stiffness=14500.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from models.compiler.curves import read
+from upright.models.compiler.curves import read
 
 
 def test_curve_is_cubic_hermite_with_the_slopes_of_parabolas() -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import sympy
 
-from models import library
-from models.compiler.derivatives import Derivatives
-from models.compiler.equations import Magnitude, Signum, compose
-from models.effects.catalogue import CATALOGUE
+from upright.models import library
+from upright.models.compiler.derivatives import Derivatives
+from upright.models.compiler.equations import Magnitude, Signum, compose
+from upright.models.effects.catalogue import CATALOGUE
 
 X, Y = sympy.symbols("x y", real=True)
 

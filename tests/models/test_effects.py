@@ -15,26 +15,26 @@ import numpy as np
 import pytest
 import sympy
 
-from models.attach import starts
-from models.compiler.equations import compose
-from models.compiler.kernel import Kernel, compile_model
-from models.effect import Effect, Family
-from models.effects.catalogue import CATALOGUE, families, find
-from models.expressions import number
-from models.file.allowed_code import allow, sha256
-from models.file.effect_rules import validate
-from models.file.model_file import load_model
-from models.file.own_effects import load_effect
-from models.library import get
-from models.library.axis import axis
-from models.model import Model
-from models.parts import ModelError, Place, Sensor
-from models.segment import Segment
-from models.sensing import FILTERED
-from simulation.friction import BRISTLE_DEFLECTION
-from simulation.input_effects import input_effects
-from simulation.monocab.hidden import HIDDEN
-from simulation.monocab.roll_effects import roll_effects
+from upright.models.attach import starts
+from upright.models.compiler.equations import compose
+from upright.models.compiler.kernel import Kernel, compile_model
+from upright.models.effect import Effect, Family
+from upright.models.effects.catalogue import CATALOGUE, families, find
+from upright.models.expressions import number
+from upright.models.file.allowed_code import allow, sha256
+from upright.models.file.effect_rules import validate
+from upright.models.file.model_file import load_model
+from upright.models.file.own_effects import load_effect
+from upright.models.library import get
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import ModelError, Place, Sensor
+from upright.models.segment import Segment
+from upright.models.sensing import FILTERED
+from upright.simulation.friction import BRISTLE_DEFLECTION
+from upright.simulation.input_effects import input_effects
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.simulation.monocab.roll_effects import roll_effects
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 markdown = runpy.run_path(str(REPOSITORY / "docs" / "reference" / "effects_page.py"))["markdown"]
@@ -508,8 +508,8 @@ def test_effect_from_a_toml_file_can_have_states(tmp_path: Path) -> None:
 
 
 PYTHON = """
-from models.effect import Effect, EffectParameter, Family
-from models.parts import Place
+from upright.models.effect import Effect, EffectParameter, Family
+from upright.models.parts import Place
 EFFECT = Effect(
     name="wind", family=Family.BIAS, title="gusts", place=Place.JOINT, equation="F = torque",
     parameters=(EffectParameter("torque", "{force}", "of the wind", amplitude=True, scale="force_scale"),),

@@ -13,9 +13,9 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models import expressions
-from models.expressions import check, length, name_problem, names_in, number, parse, renamed
-from models.parts import ModelError
+from upright.models import expressions
+from upright.models.expressions import check, length, name_problem, names_in, number, parse, renamed
+from upright.models.parts import ModelError
 
 X, Y = sympy.symbols("x y", real=True)
 SYMBOLS = {"x": X, "y": Y, "drag.size": sympy.Symbol("drag.size", real=True)}

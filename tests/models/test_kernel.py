@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from small_model import GAIN, INITIAL, PLANT, ROWS, SHIFTED, segment
 
-from models.compiler.curves import read
-from models.compiler.kernel import Kernel, compile_model
-from models.expressions import number
-from models.model import Model
-from models.parts import Hold, Input, ModelError, Output, Parameter, State
-from models.segment import Segment
+from upright.models.compiler.curves import read
+from upright.models.compiler.kernel import Kernel, compile_model
+from upright.models.expressions import number
+from upright.models.model import Model
+from upright.models.parts import Hold, Input, ModelError, Output, Parameter, State
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from small_model import GAIN, INITIAL, PLANT, SHIFTED, segment
 
-from models.compiler import kernel as kernels
-from models.compiler import machine_code
-from models.compiler.kernel import LOOPS, Kernel, compile_model
-from models.parts import Hold
+from upright.models.compiler import kernel as kernels
+from upright.models.compiler import machine_code
+from upright.models.compiler.kernel import LOOPS, Kernel, compile_model
+from upright.models.parts import Hold
 
 
 @pytest.fixture(scope="module")
@@ -147,9 +147,9 @@ def test_fingerprint_depends_on_the_structure_but_not_on_values(plant: Kernel) -
 START = """
 import json, sys
 import numpy as np
-from models import library
-from models.compiler.kernel import compile_model
-from models.segment import Segment
+from upright.models import library
+from upright.models.compiler.kernel import compile_model
+from upright.models.segment import Segment
 told = []
 kernel = compile_model(library.get("monocab_roll"), progress=told.append)
 time, inputs = 0.01 * np.arange(9.0), len(kernel.inputs)
@@ -177,8 +177,8 @@ def test_processes_share_the_cache(empty: Path) -> None:
 
 
 ROBOT = """
-from models import library
-from models.compiler.codegen import generate
+from upright.models import library
+from upright.models.compiler.codegen import generate
 print(generate(library.get("twsbr")))
 """
 

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from models import library
-from models.compiler.kernel import compile_model
-from models.effects.catalogue import CATALOGUE
-from models.model import Model
-from models.parts import ModelError
-from models.segment import Segment
+from upright.models import library
+from upright.models.compiler.kernel import compile_model
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.models.segment import Segment
 
 GUARD = 64
 """Number of elements behind every array that must not change."""
@@ -69,7 +69,7 @@ def test_no_pass_writes_beyond_its_arrays(model: Model, monkeypatch: pytest.Monk
         gain = 1e-2 * random.standard_normal((states, outputs))
         for count in (0, 1, 3, 4, 5, columns):
             numpy = Guarded()
-            monkeypatch.setattr("models.compiler.kernel.np", numpy)
+            monkeypatch.setattr("upright.models.compiler.kernel.np", numpy)
             active = random.permutation(columns)[:count].tolist()
             memory = kernel.memory(numpy.zeros((states,)), active)
             predicted, sensitivity = numpy.zeros((rows, outputs)), numpy.zeros((rows, outputs, len(active)))

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from diagnosis.prediction.closed_loop import simulate
-from models.control_design import ControlDesignError, closed_loop, continuous_poles
-from models.control_robustness import Known
-from models.linear_effects import LinearEffects
-from models.model import Model
-from vehicles import registry
-from vehicles.file import load
-from vehicles.monocab.control.controller import design
-from vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
-from vehicles.monocab.file import MonocabFile
-from vehicles.monocab.model import MONOCAB_ROLL
+from upright.diagnosis.prediction.closed_loop import simulate
+from upright.models.control_design import ControlDesignError, closed_loop, continuous_poles
+from upright.models.control_robustness import Known
+from upright.models.linear_effects import LinearEffects
+from upright.models.model import Model
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.monocab.control.controller import design
+from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
+from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.monocab.model import MONOCAB_ROLL
 
 SHIPPED = load("monocab")
 assert isinstance(SHIPPED, MonocabFile)

@@ -20,17 +20,28 @@ import pytest
 import sympy
 from typer.testing import CliRunner
 
-from models import library, rendering
-from models.compiler.fingerprint import fingerprint
-from models.effects.catalogue import CATALOGUE
-from models.expressions import number
-from models.file import sections as model_sections
-from models.file.document import ModelFile
-from models.file.model_file import load_model, parse, read, write
-from models.model import Model
-from models.parts import Actuator, Disturbance, Input, Joint, ModelError, Output, Parameter, Place, Sensor, State
-from service import cli
-from vehicles.file import load
+from upright.models import library, rendering
+from upright.models.compiler.fingerprint import fingerprint
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.expressions import number
+from upright.models.file import sections as model_sections
+from upright.models.file.document import ModelFile
+from upright.models.file.model_file import load_model, parse, read, write
+from upright.models.model import Model
+from upright.models.parts import (
+    Actuator,
+    Disturbance,
+    Input,
+    Joint,
+    ModelError,
+    Output,
+    Parameter,
+    Place,
+    Sensor,
+    State,
+)
+from upright.service import cli
+from upright.vehicles.file import load
 
 OWN = """
 title = "Pendulum on a motor"    # my own
@@ -546,7 +557,7 @@ def crowded() -> Model:
 
 
 def test_rendered_lines_compute_the_same_values_as_the_composed_equations(crowded: Model) -> None:
-    from models.compiler.equations import Magnitude, Signum, compose
+    from upright.models.compiler.equations import Magnitude, Signum, compose
 
     draw = random.Random(2)
     names = [each.name for each in (*crowded.states, *crowded.inputs, *crowded.parameters)]
@@ -573,7 +584,7 @@ def test_rendered_lines_compute_the_same_values_as_the_composed_equations(crowde
 
 
 def test_sensors_on_an_actuator_include_the_backlash_twist() -> None:
-    from models.compiler.equations import compose
+    from upright.models.compiler.equations import compose
 
     robot = library.get("twsbr").add("backlash")
     composed = compose(robot)

@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.doctor.bundle import BundleError, Wanted, pack
-from service.doctor.secrets import REMOVED, Redactor, files_of, files_on, of_environment
-from vehicles.file import load, shipped_file
+from upright.service.cli import app
+from upright.service.doctor.bundle import BundleError, Wanted, pack
+from upright.service.doctor.secrets import REMOVED, Redactor, files_of, files_on, of_environment
+from upright.vehicles.file import load, shipped_file
 
 BROKER, TOKEN, LOGGED, COMMENT = "br0ker/pass&wörd", "t0ken-of-env-4711", "l0gged-secret-9", "c0mment-secret-8"
 PRIVATE = "-----BEGIN RSA PRIVATE KEY-----\nMIIEpAIBAAKCAQEAsecretkeymaterial\n-----END RSA PRIVATE KEY-----"
@@ -60,7 +60,7 @@ def planted(tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> list
     monkeypatch.setenv("HOME_OF_NOBODY", TOKEN)
     environment = tmp_path / "upright.env"
     environment.write_text("VEHICLE=/etc/upright/vehicle.toml\nMQTT_PASSWORD='envfile-passw0rd'\n")
-    monkeypatch.setattr("service.doctor.bundle.ENVIRONMENT_FILE", environment)
+    monkeypatch.setattr("upright.service.doctor.bundle.ENVIRONMENT_FILE", environment)
     coded = base64.b64encode(f"upright:{BROKER}".encode()).decode()
     log = tmp_path / "daemon.log"
     log.write_text(
@@ -159,7 +159,7 @@ def test_links_and_devices_are_not_followed(data: Path, tmp_path: Path) -> None:
 
 
 def test_long_log_keeps_its_end(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.doctor.bundle.LARGEST_TEXT", 1000)
+    monkeypatch.setattr("upright.service.doctor.bundle.LARGEST_TEXT", 1000)
     log = tmp_path / "long.log"
     log.write_text("old\n" * 10_000 + "the end\n")
     packed = pack(tmp_path / "a.tar.gz", Wanted(data, 0, 10_000_000, (log,), environment={}), {})

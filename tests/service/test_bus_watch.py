@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.error_frames import ErrorClass
-from service.control import assembly
-from service.control.bus_watch import MANY, BusWatch
-from telemetry.samples import CanFrame
-from vehicles.file import load
+from upright.drivers.error_frames import ErrorClass
+from upright.service.control import assembly
+from upright.service.control.bus_watch import MANY, BusWatch
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import load
 
 IO = assembly.vehicle_io(load("monocab"))
 

@@ -22,14 +22,14 @@ import numpy as np
 import pytest
 from dialects import ANGLE
 
-from service.offline.can_log import is_can_log
-from service.offline.replay import load as load_recording
-from service.virtual.run import ClosedLoop
-from telemetry.candump import format_frame, format_frames
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame
-from vehicles.file import load
+from upright.service.offline.can_log import is_can_log
+from upright.service.offline.replay import load as load_recording
+from upright.service.virtual.run import ClosedLoop
+from upright.telemetry.candump import format_frame, format_frames
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import load
 
 VEHICLE = load("monocab")
 START_NS = 1_730_301_035_000_000_000

@@ -13,24 +13,24 @@ import pytest
 from closed_loop import ClosedLoop
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.commission.evaluations import at_rest, course, drives
-from service.commission.evaluations.results import with_best_drives
-from service.commission.evidence import Evidence, Found
-from service.commission.guide import Guide
-from service.control.commissioned import Record, RecordError
-from service.control.daemon import Places
-from service.virtual.daemon import daemon_beside
-from service.virtual.run import record
-from simulation.config import SimulationConfig
-from telemetry import storage
-from telemetry.candump import format_frames
-from vehicles import registry
-from vehicles.commissioning import CommissioningError, Entry, State, is_within, steps_of
-from vehicles.file import load
-from vehicles.monocab.identification.static_torque import static_torque
-from vehicles.monocab.identification.trim_effect import trim_effect
-from vehicles.sections import VehicleFile
+from upright.service.cli import app
+from upright.service.commission.evaluations import at_rest, course, drives
+from upright.service.commission.evaluations.results import with_best_drives
+from upright.service.commission.evidence import Evidence, Found
+from upright.service.commission.guide import Guide
+from upright.service.control.commissioned import Record, RecordError
+from upright.service.control.daemon import Places
+from upright.service.virtual.daemon import daemon_beside
+from upright.service.virtual.run import record
+from upright.simulation.config import SimulationConfig
+from upright.telemetry import storage
+from upright.telemetry.candump import format_frames
+from upright.vehicles import registry
+from upright.vehicles.commissioning import CommissioningError, Entry, State, is_within, steps_of
+from upright.vehicles.file import load
+from upright.vehicles.monocab.identification.static_torque import static_torque
+from upright.vehicles.monocab.identification.trim_effect import trim_effect
+from upright.vehicles.sections import VehicleFile
 
 VEHICLE = load("monocab")
 STEPS = steps_of("monocab")

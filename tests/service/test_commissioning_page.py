@@ -22,12 +22,12 @@ from playwright.sync_api import Browser, Page, expect
 from served import TOKEN, free_port, listening, served
 from watched import Watched, chromium
 
-from service.dashboard import jobs
-from service.dashboard.app import Dashboard, Settings
-from service.mqtt import topics
-from vehicles import commissioning
-from vehicles.commissioning import Entry, State, Steps
-from vehicles.file import load
+from upright.service.dashboard import jobs
+from upright.service.dashboard.app import Dashboard, Settings
+from upright.service.mqtt import topics
+from upright.vehicles import commissioning
+from upright.vehicles.commissioning import Entry, State, Steps
+from upright.vehicles.file import load
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 

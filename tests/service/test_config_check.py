@@ -9,10 +9,10 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from drivers.cia402.config import SHIPPED_EDS
-from drivers.cia402.eds import EdsError
-from service.cli import app
-from vehicles.file import shipped_file
+from upright.drivers.cia402.config import SHIPPED_EDS
+from upright.drivers.cia402.eds import EdsError
+from upright.service.cli import app
+from upright.vehicles.file import shipped_file
 
 SHEET = (SHIPPED_EDS / "upright_servo.eds").read_text()
 

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-SERVE = "from service.cli import main; main()"
+SERVE = "from upright.service.cli import main; main()"
 FORBIDDEN = {"sympy", "numba", "llvmlite", "pyarrow", "pandas", "matplotlib"}
 """docs/explanation/architecture.md: nothing that compiles, plots or keeps tables."""
 

@@ -9,14 +9,14 @@ import pytest
 from closed_loop import ClosedLoop
 from thorough import of_many
 
-from drivers.cia402.states import State
-from service.control import assembly
-from service.control.loop import Mode
-from service.control.rows import rows_from_frames
-from vehicles import registry
-from vehicles.file import VehicleFile, load
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.phases import Phase
+from upright.drivers.cia402.states import State
+from upright.service.control import assembly
+from upright.service.control.loop import Mode
+from upright.service.control.rows import rows_from_frames
+from upright.vehicles import registry
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.phases import Phase
 
 ROLL = MONOCAB.index_of("roll")
 PRECESSION = MONOCAB.index_of("precession")

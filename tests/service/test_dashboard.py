@@ -27,12 +27,12 @@ from starlette.exceptions import HTTPException
 from topology import LEASE, Topology, topology, vehicle_text
 from watched import PATIENCE, Watched, chromium
 
-from estimators.parting import partings
-from service.dashboard.app import Dashboard, Settings
-from telemetry.recording import Recording
-from telemetry.storage import load as load_recording
-from vehicles import registry
-from vehicles.file import load
+from upright.estimators.parting import partings
+from upright.service.dashboard.app import Dashboard, Settings
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load as load_recording
+from upright.vehicles import registry
+from upright.vehicles.file import load
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 

@@ -14,12 +14,12 @@ import pytest
 from served import TOKEN, served
 from starlette.exceptions import HTTPException
 
-from service.dashboard import jobs
-from service.dashboard.app import Dashboard, Settings
-from service.dashboard.recordings import UnknownRecording
-from vehicles import commissioning
-from vehicles.commissioning import CommissioningError, Steps
-from vehicles.file import load
+from upright.service.dashboard import jobs
+from upright.service.dashboard.app import Dashboard, Settings
+from upright.service.dashboard.recordings import UnknownRecording
+from upright.vehicles import commissioning
+from upright.vehicles.commissioning import CommissioningError, Steps
+from upright.vehicles.file import load
 
 RECORDING = "20260101_tilt.arrow"
 STEPS = Steps.model_validate({

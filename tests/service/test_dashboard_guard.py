@@ -17,11 +17,11 @@ import pytest
 import typer
 from served import TOKEN, served
 
-from service.cli import dashboard as command
-from service.dashboard import guard
-from service.dashboard.app import Dashboard, Settings
-from service.dashboard.recordings import Folder, UnknownRecording
-from vehicles.file import load
+from upright.service.cli import dashboard as command
+from upright.service.dashboard import guard
+from upright.service.dashboard.app import Dashboard, Settings
+from upright.service.dashboard.recordings import Folder, UnknownRecording
+from upright.vehicles.file import load
 
 PASSWORD = "a-password-of-the-broker"
 JOB = b'{"kind": "compare", "recordings": []}'

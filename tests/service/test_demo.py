@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from service.control import api
+from upright.service.control import api
 
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 
 pytestmark = pytest.mark.timeout(180)
@@ -107,7 +107,8 @@ class DashboardDemo:
     WORDS = (
         sys.executable,
         "-c",
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from service.cli import main; main()",
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from upright.service.cli import main; main()",
     )
 
     def __init__(self, folder: Path) -> None:

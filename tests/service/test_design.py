@@ -12,17 +12,17 @@ import pytest
 from closed_loop import ClosedLoop
 from typer.testing import CliRunner
 
-from diagnosis.prediction.closed_loop_error import Loop
-from models.control_design import ControlDesignError
-from models.control_robustness import Known
-from models.parts import ModelError
-from service.cli import app
-from service.control.adopted import FILE, Adopted, AdoptedError, History
-from service.control.commands import Commands
-from service.offline.design import Designed, ResultError, designed, read_result
-from vehicles import registry
-from vehicles.file import load
-from vehicles.phases import Phase
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.models.control_design import ControlDesignError
+from upright.models.control_robustness import Known
+from upright.models.parts import ModelError
+from upright.service.cli import app
+from upright.service.control.adopted import FILE, Adopted, AdoptedError, History
+from upright.service.control.commands import Commands
+from upright.service.offline.design import Designed, ResultError, designed, read_result
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 FOUND = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "speed_loop_lag": 0.041}

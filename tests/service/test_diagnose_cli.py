@@ -13,13 +13,13 @@ from typer.testing import CliRunner
 from virtual_records import multisine
 from written_report import of_little_matter
 
-import diagnosis.parts
-from models.file.model_file import read
-from service.cli import app
-from service.offline.diagnose import default_budget
-from service.pages.diagnose import print_diagnosis
-from service.virtual.run import record
-from telemetry.storage import save
+from upright.diagnosis import parts
+from upright.models.file.model_file import read
+from upright.service.cli import app
+from upright.service.offline.diagnose import default_budget
+from upright.service.pages.diagnose import print_diagnosis
+from upright.service.virtual.run import record
+from upright.telemetry.storage import save
 
 EFFECTS = ("--effect", "viscous_friction", "--effect", "quadratic_drag")
 UNHURRIED = ("--budget", "inf")
@@ -139,13 +139,13 @@ def test_recording_may_be_deleted_during_the_search(
     """It is needed only until it has been read: the search takes minutes, in which a user may delete it."""
     path, model, report = tmp_path / "gone.arrow", tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
     path.write_bytes(recording.read_bytes())
-    search = diagnosis.parts.diagnose_parts
+    search = parts.diagnose_parts
 
     def delete_and_search(*arguments: Any, **named: Any) -> Any:
         path.unlink()
         return search(*arguments, **named)
 
-    monkeypatch.setattr(diagnosis.parts, "diagnose_parts", delete_and_search)
+    monkeypatch.setattr(parts, "diagnose_parts", delete_and_search)
     upright(path, *EFFECTS, "--auto", model, "--report", report)
     sha256 = hashlib.sha256(recording.read_bytes()).hexdigest()
     assert json.loads(model.with_suffix(".trail.json").read_text())["recordings"] == {"gone.arrow": sha256}

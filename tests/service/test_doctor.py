@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.control import api
-from service.control.server import ApiServer
-from service.doctor import collect
-from service.doctor.checks import CHECKS, Finding, Status, examine, worst
-from service.doctor.collect import Subject
-from service.doctor.facts import (
+from upright.service.cli import app
+from upright.service.control import api
+from upright.service.control.server import ApiServer
+from upright.service.doctor import collect
+from upright.service.doctor.checks import CHECKS, Finding, Status, examine, worst
+from upright.service.doctor.collect import Subject
+from upright.service.doctor.facts import (
     UNLIMITED,
     Access,
     Broker,

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.offline.replay import CONVERTED, convert
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.storage import load
-from vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.service.offline.replay import CONVERTED, convert
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 
 @pytest.fixture

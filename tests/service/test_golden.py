@@ -7,7 +7,7 @@ import pytest
 from golden import FOLDER, GOLDEN, Recipe
 from thorough import of_many
 
-from telemetry.storage import load
+from upright.telemetry.storage import load
 
 ALWAYS = [next(each for each in GOLDEN if each.vehicle == name) for name in ("twsbr", "cube")]
 ALWAYS.append(next(each for each in GOLDEN if each.vehicle == "monocab" and each.duration == 10.0))

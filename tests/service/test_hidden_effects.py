@@ -20,31 +20,31 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.disturbance_estimate import DisturbanceEstimate
-from models.effects.catalogue import CATALOGUE
-from models.file.effect_rules import validate
-from models.library import get
-from service.cli import app
-from service.hidden_effects.benchmark import benchmark
-from service.hidden_effects.cases import QUICK, Case, Grid, Kind
-from service.hidden_effects.methods.answers import MISSING, UNKNOWN, Answer, of_diagnosis
-from service.hidden_effects.methods.baselines import BASELINES
-from service.hidden_effects.methods.terms import measured, regression
-from service.hidden_effects.results import trials as results
-from service.hidden_effects.results.confusion_picture import save_confusion
-from service.hidden_effects.results.summary import middle, share, summarise
-from service.hidden_effects.revision import closed, fitted
-from service.hidden_effects.sizes import NotDetectableError, levels, plant_sizes, right_model
-from service.hidden_effects.spread import SchedulerError, Spread, machines, processes
-from service.hidden_effects.trial import SUBJECT, Bench, run, virtual
-from service.hidden_effects.unlisted import UNLISTED_EFFECTS
-from service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
-from simulation.monocab.hidden import HIDDEN, MONOCAB, UNLISTED
-from simulation.monocab.roll_effects import roll_effects
-from simulation.monocab.truth import PlantTruth
-from simulation.registry import UnknownEffectError, sizes_of
-from telemetry.recording import Recording
-from vehicles.file import load
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.file.effect_rules import validate
+from upright.models.library import get
+from upright.service.cli import app
+from upright.service.hidden_effects.benchmark import benchmark
+from upright.service.hidden_effects.cases import QUICK, Case, Grid, Kind
+from upright.service.hidden_effects.methods.answers import MISSING, UNKNOWN, Answer, of_diagnosis
+from upright.service.hidden_effects.methods.baselines import BASELINES
+from upright.service.hidden_effects.methods.terms import measured, regression
+from upright.service.hidden_effects.results import trials as results
+from upright.service.hidden_effects.results.confusion_picture import save_confusion
+from upright.service.hidden_effects.results.summary import middle, share, summarise
+from upright.service.hidden_effects.revision import closed, fitted
+from upright.service.hidden_effects.sizes import NotDetectableError, levels, plant_sizes, right_model
+from upright.service.hidden_effects.spread import SchedulerError, Spread, machines, processes
+from upright.service.hidden_effects.trial import SUBJECT, Bench, run, virtual
+from upright.service.hidden_effects.unlisted import UNLISTED_EFFECTS
+from upright.service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
+from upright.simulation.monocab.hidden import HIDDEN, MONOCAB, UNLISTED
+from upright.simulation.monocab.roll_effects import roll_effects
+from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.registry import UnknownEffectError, sizes_of
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
 
 pytestmark = pytest.mark.timeout(300)
 """Each of many worker processes imports numpy and SciPy; on a busy machine that takes a minute per test."""
@@ -145,7 +145,7 @@ def test_unlisted_effects_are_in_no_catalogue() -> None:
 @pytest.mark.parametrize("name", UNLISTED)
 def test_plant_and_model_have_the_same_torque(name: str) -> None:
     """With the model's time origin at that of the plant's oscillation, so that one amplitude is enough."""
-    from service.hidden_effects.methods.terms import evaluated
+    from upright.service.hidden_effects.methods.terms import evaluated
 
     effect = UNLISTED_EFFECTS[name]
     validate(effect)
@@ -292,8 +292,8 @@ import signal
 import sys
 from pathlib import Path
 import hidden_effects_stand_in as stand_in
-from service.hidden_effects.benchmark import benchmark
-from service.hidden_effects.spread import processes
+from upright.service.hidden_effects.benchmark import benchmark
+from upright.service.hidden_effects.spread import processes
 if __name__ == "__main__":
     # Under a shell that runs the tests in the background, Ctrl-C would be ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -384,7 +384,7 @@ def test_dask_workers_give_the_same_answers_even_if_one_is_killed(folder: Path, 
 @pytest.mark.filterwarnings("default")
 def test_unreachable_scheduler_is_reported_with_a_remedy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[bench]'")
-    monkeypatch.setattr("service.hidden_effects.spread.CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("upright.service.hidden_effects.spread.CONNECT_TIMEOUT", 0.5)
     spread: Spread = machines("tcp://127.0.0.1:1")
     with pytest.raises(SchedulerError, match="dask scheduler"):
         benchmark(stand_in.SMALL.cases(), stand_in.bench(), folder / "results.jsonl", spread)
@@ -557,7 +557,7 @@ DRY = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteres
 
 
 def test_regression_library_has_the_torques_of_the_catalogue(dry: Recording) -> None:
-    from estimators.data.segments import segments
+    from upright.estimators.data.segments import segments
 
     segment = segments(NOMINAL, [dry], support=SUPPORT)[0]
     names = measured(NOMINAL, segment)
@@ -655,7 +655,7 @@ def test_file_without_results_is_refused(tmp_path: Path) -> None:
 
 
 def test_confusion_picture_without_a_case_is_refused(tmp_path: Path) -> None:
-    from telemetry.errors import UprightError
+    from upright.telemetry.errors import UprightError
 
     with pytest.raises(UprightError, match="no case"):
         save_confusion(summarise([]), tmp_path / "x.png")

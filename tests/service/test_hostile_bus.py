@@ -9,12 +9,12 @@ from dataclasses import replace
 import pytest
 from closed_loop import ClosedLoop
 
-from drivers.cia402.states import State
-from drivers.foreign import QUIET_NS
-from service.control.loop import Mode
-from service.control.readiness import drive_states
-from simulation.bus.power_state import PowerState
-from telemetry.samples import CanFrame
+from upright.drivers.cia402.states import State
+from upright.drivers.foreign import QUIET_NS
+from upright.service.control.loop import Mode
+from upright.service.control.readiness import drive_states
+from upright.simulation.bus.power_state import PowerState
+from upright.telemetry.samples import CanFrame
 
 ENABLED_AT_300_RPM = struct.pack("<Hhh", 0x7F, 300, 0)
 FOREIGN = {

@@ -18,13 +18,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from service import turns as turns_module
-from service.control import daemon as daemon_module
-from service.control import server as server_module
-from service.control.api import ExitCode, Message, result
-from service.control.daemon import STATUS_AGE, Daemon, Places
-from service.control.peers import Peer
-from service.control.server import (
+from upright.service import turns as turns_module
+from upright.service.control import daemon as daemon_module
+from upright.service.control import server as server_module
+from upright.service.control.api import ExitCode, Message, result
+from upright.service.control.daemon import STATUS_AGE, Daemon, Places
+from upright.service.control.peers import Peer
+from upright.service.control.server import (
     MAX_LINE,
     MOST_CONNECTIONS,
     MOST_OF_A_PROCESS,
@@ -32,8 +32,8 @@ from service.control.server import (
     ApiServer,
     parse,
 )
-from service.turns import MOST_A_TURN, Turns
-from vehicles.file import load
+from upright.service.turns import MOST_A_TURN, Turns
+from upright.vehicles.file import load
 
 FIRST = f"terminal 1 of {Peer(1, os.geteuid(), frozenset()).name}"
 

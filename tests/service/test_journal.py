@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from service.journal import JournalHandler, in_journal
+from upright.service.journal import JournalHandler, in_journal
 
 
 @pytest.fixture
@@ -90,6 +90,6 @@ def test_a_journal_that_does_not_read_holds_nobody_up(
 def test_standard_error_is_the_journal_only_if_it_is_what_systemd_connected() -> None:
     assert not in_journal({})
     assert not in_journal({"JOURNAL_STREAM": "1:2"})
-    answer = "import os, sys; from service.journal import in_journal; s = os.fstat(2)\n"
+    answer = "import os, sys; from upright.service.journal import in_journal; s = os.fstat(2)\n"
     answer += "sys.exit(not in_journal({'JOURNAL_STREAM': f'{s.st_dev}:{s.st_ino}'}))"
     subprocess.run([sys.executable, "-c", answer], check=True, timeout=30, env={**os.environ})

@@ -18,17 +18,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from serving import connect, serving, until
 
-from service.control.api import RENEWAL_PERIOD, call
-from service.control.daemon import Daemon
-from service.control.lease import LOOK, Lease
-from service.control.loop import Mode
-from telemetry.storage import load
+from upright.service.control.api import RENEWAL_PERIOD, call
+from upright.service.control.daemon import Daemon
+from upright.service.control.lease import LOOK, Lease
+from upright.service.control.loop import Mode
+from upright.telemetry.storage import load
 
 LENGTH = 0.3
 SLACK = 1.0
 """s after the end of the lease that a busy machine may take to detect it."""
 
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 
 pytestmark = pytest.mark.timeout(120)
 

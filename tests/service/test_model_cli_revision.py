@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from models.file.history import before_fits, undone
-from models.file.model_file import read
-from models.parts import ModelError
-from service import cli
-from telemetry.channels import Channel, ChannelTable
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from telemetry.storage import load, save
+from upright.models.file.history import before_fits, undone
+from upright.models.file.model_file import read
+from upright.models.parts import ModelError
+from upright.service import cli
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load, save
 
 CHANNELS = ChannelTable((Channel("position", "m", ""), Channel("force", "N", "")))
 COULOMB, VISCOUS, MASS = 4.0, 3.0, 2.0
@@ -334,7 +334,7 @@ def test_python_effect_is_added_once_allowed_and_its_hash_is_in_the_history(
     model, effect = tmp_path / "mine.toml", tmp_path / "wind.py"
     model.write_text('base = "axis"\n')
     effect.write_text(
-        "from models.effect import Effect, EffectParameter, Family\nfrom models.parts import Place\n"
+        "from upright.models.effect import Effect, EffectParameter, Family\nfrom models.parts import Place\n"
         'EFFECT = Effect(name="wind", family=Family.BIAS, title="gusts", place=Place.JOINT, equation="F = torque",\n'
         '    parameters=(EffectParameter("torque", "{force}", "wind", amplitude=True, scale="force_scale"),),\n'
         '    signature="", confused_with=(), separated_by="", force="torque * sin(time) ** 2")\n'

@@ -17,15 +17,15 @@ import pytest
 from mosquitto import Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
-from estimators.disturbance_estimate import DisturbanceEstimate
-from service.mqtt import topics as mqtt_topics
-from service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
-from service.mqtt.embedded_broker import USER, EmbeddedBroker
-from service.mqtt.payloads import TelemetryBatches, methods, parameters
-from service.observer.client import ObserverClient
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.sections import MqttSection
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.service.mqtt import topics as mqtt_topics
+from upright.service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
+from upright.service.mqtt.embedded_broker import USER, EmbeddedBroker
+from upright.service.mqtt.payloads import TelemetryBatches, methods, parameters
+from upright.service.observer.client import ObserverClient
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.sections import MqttSection
 
 STATE = {"vehicle": "monocab", "mode": "disarmed", "interlocks": ["The vehicle does not rest."], "faults": []}
 

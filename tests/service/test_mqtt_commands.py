@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mosquitto import OPERATOR, STRANGER, WATCHER, Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
-from service.mqtt.commands import (
+from upright.service.mqtt.commands import (
     LARGEST,
     MOST_A_SECOND,
     MOST_CLIENTS,
@@ -27,10 +27,10 @@ from service.mqtt.commands import (
     Passed,
     Refused,
 )
-from service.mqtt.home_assistant import discovery
-from service.mqtt.topics import ARGUMENTS, TOPICS, Parameter, schemas
-from service.observer.client import ObserverClient
-from telemetry.samples import Frame
+from upright.service.mqtt.home_assistant import discovery
+from upright.service.mqtt.topics import ARGUMENTS, TOPICS, Parameter, schemas
+from upright.service.observer.client import ObserverClient
+from upright.telemetry.samples import Frame
 
 REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"
 NOW = 1_800_000_000.0
@@ -167,7 +167,7 @@ def test_shipped_schemas_equal_those_of_the_models() -> None:
     shipped = {
         file.name.removesuffix(".schema.json"): json.loads(file.read_text()) for file in (REFERENCE / "mqtt").iterdir()
     }
-    assert shipped == schemas(), "write them anew: python -m service.mqtt.topics docs/reference/mqtt"
+    assert shipped == schemas(), "write them anew: python -m upright.service.mqtt.topics docs/reference/mqtt"
 
 
 def test_reference_names_every_topic_verb_and_schema() -> None:

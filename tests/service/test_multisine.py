@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.information import information, predicted_information
-from diagnosis.prediction.closed_loop import causal, simulate
-from service.cli import app
-from service.offline.models import identified_model
-from service.offline.multisine import NAME, DesignedMultisine, MultisineError, designed_multisine
-from vehicles import registry
-from vehicles.excitation import make_excitation
-from vehicles.file import load
-from vehicles.sections import ExperimentSection
+from upright.diagnosis.information import information, predicted_information
+from upright.diagnosis.prediction.closed_loop import causal, simulate
+from upright.service.cli import app
+from upright.service.offline.models import identified_model
+from upright.service.offline.multisine import NAME, DesignedMultisine, MultisineError, designed_multisine
+from upright.vehicles import registry
+from upright.vehicles.excitation import make_excitation
+from upright.vehicles.file import load
+from upright.vehicles.sections import ExperimentSection
 
 VEHICLE = load("monocab")
 SHORT = {"duration": 12.0, "start": 0.25, "stop": 2.0, "lines": 8}

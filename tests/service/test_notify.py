@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.control.notify import Notifier, NotifyError
+from upright.service.control.notify import Notifier, NotifyError
 
 
 @pytest.fixture(params=["path", "abstract"])

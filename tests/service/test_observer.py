@@ -18,18 +18,18 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
-from diagnosis.live.live import LiveDiagnosis
-from service.observer.client import ObserverClient
-from service.observer.online_estimators import EstimatorBank, online_estimators
-from service.observer.pipe import MOST_WAITING
-from service.observer.process import Observer, link
-from service.offline import replay
-from telemetry.candump import CandumpReader
-from telemetry.samples import CanFrame, Frame
-from telemetry.storage import load
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.monocab.identification.torque_balance import make as make_plain
-from vehicles.registry import nominal_model
+from upright.diagnosis.live.live import LiveDiagnosis
+from upright.service.observer.client import ObserverClient
+from upright.service.observer.online_estimators import EstimatorBank, online_estimators
+from upright.service.observer.pipe import MOST_WAITING
+from upright.service.observer.process import Observer, link
+from upright.service.offline import replay
+from upright.telemetry.candump import CandumpReader
+from upright.telemetry.samples import CanFrame, Frame
+from upright.telemetry.storage import load
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.monocab.identification.torque_balance import make as make_plain
+from upright.vehicles.registry import nominal_model
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -92,7 +92,7 @@ async def test_estimator_that_is_compiled_late_still_gets_every_sample(
 
         return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
 
-    monkeypatch.setattr("service.observer.process.online_estimators", slow_estimators)
+    monkeypatch.setattr("upright.service.observer.process.online_estimators", slow_estimators)
     own, other = link.pair()
     loop = asyncio.get_running_loop()
     running = asyncio.create_task(Observer(other, hello(tmp_path)).run())
@@ -314,7 +314,7 @@ import asyncio, os, sys, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from observer_harness import cycles, hello
-from service.observer.client import ObserverClient
+from upright.service.observer.client import ObserverClient
 
 async def main():
     client = ObserverClient(hello(Path({data!r})))

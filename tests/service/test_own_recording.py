@@ -14,10 +14,10 @@ import pytest
 from typer.testing import CliRunner
 from virtual_records import multisine
 
-from service.cli import app
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from telemetry.storage import load, load_all, save
+from upright.service.cli import app
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load, load_all, save
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
 QUICK = ("--method", "prediction_error")

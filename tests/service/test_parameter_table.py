@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from service.output import live_estimates, parameter_table
+from upright.service.output import live_estimates, parameter_table
 
 ESTIMATES = {
     "recursive_instrumental_variables": {

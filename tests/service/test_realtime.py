@@ -25,15 +25,15 @@ from observer_harness import hello
 from served import free_port
 from serving import steady
 
-from service.control import api, realtime
-from service.control.timing import TIMES, Histogram, Timing
-from service.observer import link
-from service.observer.cpus import VARIABLE, leave_to_control, processors
-from service.observer.metrics import Metrics, MetricsServer
-from service.observer.process import Observer
-from service.virtual.run import ClosedLoop
+from upright.service.control import api, realtime
+from upright.service.control.timing import TIMES, Histogram, Timing
+from upright.service.observer import link
+from upright.service.observer.cpus import VARIABLE, leave_to_control, processors
+from upright.service.observer.metrics import Metrics, MetricsServer
+from upright.service.observer.process import Observer
+from upright.service.virtual.run import ClosedLoop
 
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 SAMPLE = re.compile(r'^(?P<name>[a-z_]+)(?:\{(?P<labels>[a-z_]+="[^"]*"(?:,[a-z_]+="[^"]*")*)\})? (?P<value>\S+)$')
 FIGURES = {
     "modes": ["starting", "running"],
@@ -211,7 +211,7 @@ def test_cycles_of_a_run_leave_no_garbage_for_the_collector() -> None:
 
 SETTLED = """
 import gc, resource, sys
-from service.control import realtime
+from upright.service.control import realtime
 class Node: pass
 def cycle():
     node = Node(); node.itself = node

@@ -9,16 +9,16 @@ import pytest
 from closed_loop import ClosedLoop
 from scipy.io import loadmat
 
-from service.observer.recorder import Recorder
-from service.offline import replay
-from telemetry.channels import ChannelTable
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame, Frame
-from telemetry.storage import load as load_file
-from vehicles.file import load
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.phases import Phase
+from upright.service.observer.recorder import Recorder
+from upright.service.offline import replay
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame, Frame
+from upright.telemetry.storage import load as load_file
+from upright.vehicles.file import load
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 

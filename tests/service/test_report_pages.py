@@ -12,18 +12,18 @@ import small_vehicle
 from typer.testing import CliRunner
 from written_report import HASH, HOSTILE, Page
 
-from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report import Provenance, write_comparison, write_identification
-from diagnosis.report.figures.drawing import looks
-from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.identify.run import identify, with_values
-from models import library
-from service.cli import app
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.monocab.identification.own import OWN
-from vehicles.registry import nominal_model
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.diagnosis.report import Provenance, write_comparison, write_identification
+from upright.diagnosis.report.figures.drawing import looks
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.estimators.identify.run import identify, with_values
+from upright.models import library
+from upright.service.cli import app
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.monocab.identification.own import OWN
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").add("static_torque").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})

@@ -10,14 +10,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.imu import ImuHealth
-from service.control.safety import DriveObservation, Observation, Safety
-from vehicles.bounds import OK, Code, Reaction
-from vehicles.cube.kind import CubeCode
-from vehicles.file import load
-from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.kind import MonocabCode, bounds
-from vehicles.twsbr.kind import TwsbrCode
+from upright.drivers.imu import ImuHealth
+from upright.service.control.safety import DriveObservation, Observation, Safety
+from upright.vehicles.bounds import OK, Code, Reaction
+from upright.vehicles.cube.kind import CubeCode
+from upright.vehicles.file import load
+from upright.vehicles.monocab.axes import GimbalMeasurement
+from upright.vehicles.monocab.kind import MonocabCode, bounds
+from upright.vehicles.twsbr.kind import TwsbrCode
 
 VEHICLE = load("monocab")
 SAFETY = Safety(

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from observer_harness import VEHICLE, cycles, hello, record
 
-from service.mqtt.client import MqttConfig
-from service.observer.client import ObserverClient
-from telemetry.errors import UprightError
-from vehicles.file import load
-from vehicles.sections import MqttSection
+from upright.service.mqtt.client import MqttConfig
+from upright.service.observer.client import ObserverClient
+from upright.telemetry.errors import UprightError
+from upright.vehicles.file import load
+from upright.vehicles.sections import MqttSection
 
 SECRET = "a-password-that-is-nowhere-else"
 

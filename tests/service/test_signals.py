@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from service.control.api import ApiError, call
+from upright.service.control.api import ApiError, call
 
-SERVE = "from service.cli import main; main()"
+SERVE = "from upright.service.cli import main; main()"
 
 
 @contextmanager

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from service import bounded_log, turns
-from service.bounded_log import MOST_A_SECOND, MOST_WAITING
-from service.turns import MOST_A_TURN, READ, Turns
+from upright.service import bounded_log, turns
+from upright.service.bounded_log import MOST_A_SECOND, MOST_WAITING
+from upright.service.turns import MOST_A_TURN, READ, Turns
 
 
 @pytest.fixture(autouse=True)

@@ -20,36 +20,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from diagnosis.prediction.closed_loop_error import Loop
-from drivers.cia402.config import DriveConfig
-from drivers.cia402.drive import Drive
-from drivers.cia402.states import State
-from models.gravity import GRAVITY
-from service.cli import app
-from service.control import api, assembly
-from service.control.daemon import Daemon, Places
-from service.control.loop import Mode
-from service.control.rows import rows_from_frames
-from service.control.safety import Observation, Safety
-from service.observer.online_estimators import online_estimators
-from service.offline import replay
-from service.virtual import vehicle as virtual_vehicle
-from service.virtual.run import VirtualRunError, record
-from simulation.registry import UnknownEffectError
-from simulation.twsbr.plant import TwsbrPlant
-from telemetry.samples import CanFrame
-from telemetry.storage import load as load_recording
-from vehicles import registry
-from vehicles.bounds import OK, Code, Reaction
-from vehicles.file import VehicleFileError, load
-from vehicles.phases import Phase
-from vehicles.registry import recorded_loop
-from vehicles.twsbr.axes import WheelMeasurement
-from vehicles.twsbr.channels import CHANNELS as TWSBR
-from vehicles.twsbr.controller import TiltController, WheelReturn
-from vehicles.twsbr.handling import UPRIGHT
-from vehicles.twsbr.kind import TwsbrCode, bounds
-from vehicles.twsbr.model import TWSBR as MODEL
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.drivers.cia402.config import DriveConfig
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.states import State
+from upright.models.gravity import GRAVITY
+from upright.service.cli import app
+from upright.service.control import api, assembly
+from upright.service.control.daemon import Daemon, Places
+from upright.service.control.loop import Mode
+from upright.service.control.rows import rows_from_frames
+from upright.service.control.safety import Observation, Safety
+from upright.service.observer.online_estimators import online_estimators
+from upright.service.offline import replay
+from upright.service.virtual import vehicle as virtual_vehicle
+from upright.service.virtual.run import VirtualRunError, record
+from upright.simulation.registry import UnknownEffectError
+from upright.simulation.twsbr.plant import TwsbrPlant
+from upright.telemetry.samples import CanFrame
+from upright.telemetry.storage import load as load_recording
+from upright.vehicles import registry
+from upright.vehicles.bounds import OK, Code, Reaction
+from upright.vehicles.file import VehicleFileError, load
+from upright.vehicles.phases import Phase
+from upright.vehicles.registry import recorded_loop
+from upright.vehicles.twsbr.axes import WheelMeasurement
+from upright.vehicles.twsbr.channels import CHANNELS as TWSBR
+from upright.vehicles.twsbr.controller import TiltController, WheelReturn
+from upright.vehicles.twsbr.handling import UPRIGHT
+from upright.vehicles.twsbr.kind import TwsbrCode, bounds
+from upright.vehicles.twsbr.model import TWSBR as MODEL
 
 VEHICLE = load("twsbr")
 FILE = Path(VEHICLE.path).read_text()

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from serving import connect, serving, until
 
-from service.control.api import RENEWAL_PERIOD, ExitCode
-from service.control.loop import Mode
-from telemetry.storage import load
+from upright.service.control.api import RENEWAL_PERIOD, ExitCode
+from upright.service.control.loop import Mode
+from upright.telemetry.storage import load
 
 pytestmark = pytest.mark.timeout(120)
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.control import assembly
-from service.observer.recorder import Recorder
-from service.virtual.run import ClosedLoop, VirtualRunError, record
-from simulation.monocab.truth import PlantTruth
-from simulation.registry import UnknownEffectError
-from telemetry.recording import Recording
-from telemetry.storage import load as load_recording
-from vehicles.file import load
-from vehicles.phases import Phase
+from upright.service.control import assembly
+from upright.service.observer.recorder import Recorder
+from upright.service.virtual.run import ClosedLoop, VirtualRunError, record
+from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.registry import UnknownEffectError
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load as load_recording
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
 
 TRUTH = PlantTruth()
 SHORT = 2.0

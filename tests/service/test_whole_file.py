@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.whole_file import write_whole
+from upright.service.whole_file import write_whole
 
 
 def test_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:

@@ -14,30 +14,30 @@ import pytest
 from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.hidden_effects.cases import Case
-from service.hidden_effects.disturbances import Drawn, Multiple, parse_disturbances, sensor_floor
-from service.hidden_effects.methods.answers import ADEQUATE, Answer
-from service.hidden_effects.results.by_disturbance import thirds
-from service.hidden_effects.results.summary import summarise
-from service.hidden_effects.trial import SUBJECT, Bench, virtual
-from service.hidden_effects.trial import run as run_case
-from service.hidden_effects.vehicles import drawn
-from service.virtual import vehicle as virtual_vehicle
-from service.virtual.run import record
-from simulation.config import ImuNode, SimulationConfig
-from simulation.disturbance import Disturbance, RandomTorque
-from simulation.monocab.hidden import MONOCAB
-from simulation.monocab.plant import Plant
-from simulation.monocab.truth import PlantTruth
-from simulation.registry import UnknownEffectError, parse_disturbance, parse_hidden
-from simulation.twsbr.hidden import TWSBR
-from simulation.twsbr.plant import TwsbrPlant
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.recording import Recording
-from vehicles import registry as vehicles_registry
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.service.cli import app
+from upright.service.hidden_effects.cases import Case
+from upright.service.hidden_effects.disturbances import Drawn, Multiple, parse_disturbances, sensor_floor
+from upright.service.hidden_effects.methods.answers import ADEQUATE, Answer
+from upright.service.hidden_effects.results.by_disturbance import thirds
+from upright.service.hidden_effects.results.summary import summarise
+from upright.service.hidden_effects.trial import SUBJECT, Bench, virtual
+from upright.service.hidden_effects.trial import run as run_case
+from upright.service.hidden_effects.vehicles import drawn
+from upright.service.virtual import vehicle as virtual_vehicle
+from upright.service.virtual.run import record
+from upright.simulation.config import ImuNode, SimulationConfig
+from upright.simulation.disturbance import Disturbance, RandomTorque
+from upright.simulation.monocab.hidden import MONOCAB
+from upright.simulation.monocab.plant import Plant
+from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.registry import UnknownEffectError, parse_disturbance, parse_hidden
+from upright.simulation.twsbr.hidden import TWSBR
+from upright.simulation.twsbr.plant import TwsbrPlant
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry as vehicles_registry
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 STEP = 1.0 / 3000.0
 """s, the plant's at 250 Hz."""

@@ -17,11 +17,11 @@ import canopen
 import pytest
 from simulated_bus import EDS, ENABLE, MASTER, SHUTDOWN, SWITCH_ON, drive_nodes
 
-from simulation.bus.power_state import PowerState
-from simulation.config import SimulationConfig
-from simulation.faults import parse_faults
-from simulation.monocab.truth import PlantTruth
-from simulation.runner import Runner
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.config import SimulationConfig
+from upright.simulation.faults import parse_faults
+from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.runner import Runner
 
 CONFIG = SimulationConfig(PlantTruth(), drives=drive_nodes())
 SYNC = 0x080

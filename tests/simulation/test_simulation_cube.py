@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from simulated_bus import DISABLE_VOLTAGE, MASTER, QUICK_STOP, SHUTDOWN, SWITCH_ON, Harness
 
-from simulation.bus.power_state import PowerState
-from simulation.config import DriveNode, ImuNode, SimulationConfig
-from simulation.cube.hidden import AT_THE_WHEEL, CUBE, CUBE_HIDDEN, CUBE_UNLISTED
-from simulation.cube.plant import CubePlant
-from simulation.cube.truth import CubeTruth
-from simulation.kinds import machine
-from simulation.registry import parse_hidden
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.config import DriveNode, ImuNode, SimulationConfig
+from upright.simulation.cube.hidden import AT_THE_WHEEL, CUBE, CUBE_HIDDEN, CUBE_UNLISTED
+from upright.simulation.cube.plant import CubePlant
+from upright.simulation.cube.truth import CubeTruth
+from upright.simulation.kinds import machine
+from upright.simulation.registry import parse_hidden
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "eds" / "upright_torque.eds"
 RATE = 250
@@ -134,7 +134,7 @@ def test_each_hidden_effect_changes_the_motion(name: str, bare: np.ndarray) -> N
 
 
 def test_listed_effects_are_in_the_catalogue_and_unlisted_ones_are_not() -> None:
-    from models.effects.catalogue import CATALOGUE
+    from upright.models.effects.catalogue import CATALOGUE
 
     assert {name for name in CUBE_HIDDEN if name.startswith("wheel_")} == set(AT_THE_WHEEL)
     assert {name.partition("@")[0] for name in AT_THE_WHEEL.values()} <= set(CATALOGUE)

@@ -19,12 +19,12 @@ from simulated_bus import (
     drive_nodes,
 )
 
-from simulation.bus.object_dictionary import SimulationError
-from simulation.bus.power_state import Command, PowerState, command_of
-from simulation.config import SimulationConfig
-from simulation.faults import UnknownFaultError, parse_faults
-from simulation.monocab.truth import PlantTruth
-from simulation.servo_axis import AxisMode
+from upright.simulation.bus.object_dictionary import SimulationError
+from upright.simulation.bus.power_state import Command, PowerState, command_of
+from upright.simulation.config import SimulationConfig
+from upright.simulation.faults import UnknownFaultError, parse_faults
+from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.servo_axis import AxisMode
 
 RPM = 200.0
 RATE = GIMBAL_PER_TURN * RPM / 60.0

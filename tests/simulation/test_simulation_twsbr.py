@@ -15,24 +15,24 @@ import numpy as np
 import pytest
 from simulated_bus import DISABLE_VOLTAGE, MASTER, QUICK_STOP, SHUTDOWN, SWITCH_ON, Harness
 
-from drivers.imu import Imu
-from drivers.imu_layout import ImuConfig
-from simulation.bus.imu_node import VirtualImu
-from simulation.bus.object_dictionary import SimulationError
-from simulation.bus.power_state import PowerState
-from simulation.config import DriveNode, ImuNode, SimulationConfig
-from simulation.faults import parse_faults
-from simulation.kinds import machine
-from simulation.monocab.hidden import MONOCAB
-from simulation.registry import UnknownEffectError, parse_hidden, sizes_of
-from simulation.runner import Runner
-from simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
-from simulation.twsbr.hidden import TWSBR, TWSBR_HIDDEN, TWSBR_UNLISTED
-from simulation.twsbr.mechanics import PLACES
-from simulation.twsbr.motor import Encoder
-from simulation.twsbr.plant import RELEASE_DELAY, TRAVEL, TURN, TwsbrPlant
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.samples import CanFrame
+from upright.drivers.imu import Imu
+from upright.drivers.imu_layout import ImuConfig
+from upright.simulation.bus.imu_node import VirtualImu
+from upright.simulation.bus.object_dictionary import SimulationError
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.config import DriveNode, ImuNode, SimulationConfig
+from upright.simulation.faults import parse_faults
+from upright.simulation.kinds import machine
+from upright.simulation.monocab.hidden import MONOCAB
+from upright.simulation.registry import UnknownEffectError, parse_hidden, sizes_of
+from upright.simulation.runner import Runner
+from upright.simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
+from upright.simulation.twsbr.hidden import TWSBR, TWSBR_HIDDEN, TWSBR_UNLISTED
+from upright.simulation.twsbr.mechanics import PLACES
+from upright.simulation.twsbr.motor import Encoder
+from upright.simulation.twsbr.plant import RELEASE_DELAY, TRAVEL, TURN, TwsbrPlant
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.samples import CanFrame
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "eds" / "upright_motor.eds"
 RATE = 200
@@ -138,7 +138,7 @@ def test_robot_starts_at_rest_on_its_front_bumper() -> None:
 def test_held_robot_reaches_the_speed_given_by_the_motor_equation(monkeypatch: pytest.MonkeyPatch) -> None:
     """n K / R (U - n K w) = (b + f_v) w, with the bridge's U; after eleven time constants of 0.45 s."""
     plant = robot(replace(TRUTH, start="held"))
-    monkeypatch.setattr("simulation.twsbr.plant.RELEASE_DELAY", math.inf)
+    monkeypatch.setattr("upright.simulation.twsbr.plant.RELEASE_DELAY", math.inf)
     drive(plant, 6.0)
     run_for(plant, 5.0)
     constant = TRUTH.gear_ratio * TRUTH.torque_constant

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.data.state_variable_filter import StateVariableFilter
-from estimators.recursive.least_squares import RecursiveLeastSquares
-from telemetry.channels import ChannelTable
-from telemetry.samples import Frame
+from upright.estimators.contract import Estimate, ParameterEstimate, Status
+from upright.estimators.data.state_variable_filter import StateVariableFilter
+from upright.estimators.recursive.least_squares import RecursiveLeastSquares
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Frame
 
 UNITS = {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N", "force_offset": "N"}
 

@@ -10,11 +10,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Parameter
-from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
 
 MASS, STIFFNESS = 2.0, 50.0
 NOISE = 2e-5

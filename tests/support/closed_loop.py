@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.bus import BusDown
-from service.virtual import run as virtual_run
-from telemetry.samples import CanFrame
-from vehicles.file import VehicleFile, load
+from upright.drivers.bus import BusDown
+from upright.service.virtual import run as virtual_run
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import VehicleFile, load
 
 
 class ClosedLoop(virtual_run.ClosedLoop):

@@ -17,10 +17,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet
 
-from service.virtual.run import record
-from telemetry.arrow_file import write_parquet
-from telemetry.recording import Recording
-from telemetry.storage import load
+from upright.service.virtual.run import record
+from upright.telemetry.arrow_file import write_parquet
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load
 
 FOLDER = Path(__file__).parents[1] / "golden"
 

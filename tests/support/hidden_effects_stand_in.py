@@ -14,16 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from models.effect import Effect
-from models.model import Model
-from service.hidden_effects.cases import Grid
-from service.hidden_effects.methods.answers import ADEQUATE, UNKNOWN, Answer
-from service.hidden_effects.trial import SUBJECT, Bench
-from service.hidden_effects.vehicles import Vehicle
-from simulation.disturbance import Disturbance
-from simulation.monocab.hidden import HIDDEN, UNLISTED
-from telemetry.recording import Recording
-from vehicles.registry import channels_of
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.service.hidden_effects.cases import Grid
+from upright.service.hidden_effects.methods.answers import ADEQUATE, UNKNOWN, Answer
+from upright.service.hidden_effects.trial import SUBJECT, Bench
+from upright.service.hidden_effects.vehicles import Vehicle
+from upright.simulation.disturbance import Disturbance
+from upright.simulation.monocab.hidden import HIDDEN, UNLISTED
+from upright.telemetry.recording import Recording
+from upright.vehicles.registry import channels_of
 
 FOLDER = "UPRIGHT_TEST_FOLDER"
 """Folder in which the stand-ins write one file per call, so that a test can count calls in other processes."""

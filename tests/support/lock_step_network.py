@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import canopen
 
-from simulation.config import SimulationConfig
-from simulation.vehicle import VirtualVehicle
+from upright.simulation.config import SimulationConfig
+from upright.simulation.vehicle import VirtualVehicle
 
 PERIOD = 0.004
 """s in which the vehicle goes on between two looks for an answer."""

@@ -11,16 +11,16 @@ from typing import Any
 
 import small_vehicle
 
-from service.observer.client import ObserverClient
-from telemetry.samples import Frame
-from vehicles.file import load
+from upright.service.observer.client import ObserverClient
+from upright.telemetry.samples import Frame
+from upright.vehicles.file import load
 
 VEHICLE = load("monocab")
 
 
 def hello(data: Path, broker: str = "", **mqtt: Any) -> dict[str, Any]:
     """The hello message of the control process for the shipped vehicle, with in-process buses."""
-    from service.control.assembly import observer_hello
+    from upright.service.control.assembly import observer_hello
 
     return {
         **observer_hello(VEHICLE, data, []),

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.bus.imu_node import VirtualImu
-from simulation.config import SimulationConfig
-from simulation.monocab.plant import Plant
-from simulation.vehicle import START_NS
-from telemetry.samples import ImuSample
+from upright.simulation.bus.imu_node import VirtualImu
+from upright.simulation.config import SimulationConfig
+from upright.simulation.monocab.plant import Plant
+from upright.simulation.vehicle import START_NS
+from upright.telemetry.samples import ImuSample
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.control.api import ApiError, call
+from upright.service.control.api import ApiError, call
 
-UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 
 FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in ("20", "10"))
 """Real-time priorities, as systemd/upright.service.d/realtime.conf gives the daemon: the guest has one processor for

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
-from vehicles.excitation import Excitation
-from vehicles.file import VehicleFile, load
-from vehicles.monocab.control.controller import RollController, design
-from vehicles.monocab.control.rise import Lowering, RiseFromRest, rise_rate
-from vehicles.monocab.control.roll_design import RollDesign
+from upright.vehicles.excitation import Excitation
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.monocab.control.controller import RollController, design
+from upright.vehicles.monocab.control.rise import Lowering, RiseFromRest, rise_rate
+from upright.vehicles.monocab.control.roll_design import RollDesign
 
 RATES = (100, 250, 500)
 SUBSTEP = 0.001

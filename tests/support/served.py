@@ -10,8 +10,8 @@ from contextlib import contextmanager
 
 import uvicorn
 
-from service.dashboard.app import Dashboard
-from service.dashboard.guard import LIMITS
+from upright.service.dashboard.app import Dashboard
+from upright.service.dashboard.guard import LIMITS
 
 TOKEN = "token-of-the-tests"
 

@@ -10,11 +10,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from service.control.daemon import Daemon, Places
-from service.control.loop import Mode
-from service.virtual.serving import virtual_vehicle_beside
-from vehicles.file import load
-from vehicles.sections import VehicleFile
+from upright.service.control.daemon import Daemon, Places
+from upright.service.control.loop import Mode
+from upright.service.virtual.serving import virtual_vehicle_beside
+from upright.vehicles.file import load
+from upright.vehicles.sections import VehicleFile
 
 
 def steady() -> VehicleFile:

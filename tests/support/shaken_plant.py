@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
-from vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 STEP = 1e-3
 ROWS = 5

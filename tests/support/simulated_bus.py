@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simulation.bus.drive_node import VirtualDrive
-from simulation.config import DriveNode, SimulationConfig
-from simulation.faults import Fault
-from simulation.monocab.truth import PlantTruth
-from simulation.vehicle import VirtualVehicle
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.simulation.config import DriveNode, SimulationConfig
+from upright.simulation.faults import Fault
+from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.vehicle import VirtualVehicle
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "eds" / "upright_servo.eds"
 GIMBAL_PER_TURN = 2.0 * math.pi / 100.0

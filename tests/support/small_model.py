@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.model import Model
-from models.parts import Hold, Input, Output, Parameter, State
-from models.segment import Segment
+from upright.models.model import Model
+from upright.models.parts import Hold, Input, Output, Parameter, State
+from upright.models.segment import Segment
 
 PLANT = Model(
     name="test-plant",

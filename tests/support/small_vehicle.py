@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.recording import Recording
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 Array = NDArray[np.float64]
 

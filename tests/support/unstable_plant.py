@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from axis_plant import CHANNELS
 
-from models.library.axis import axis
-from models.model import Model
-from models.parts import Parameter
-from telemetry.recording import Recording
+from upright.models.library.axis import axis
+from upright.models.model import Model
+from upright.models.parts import Parameter
+from upright.telemetry.recording import Recording
 
 MASS, DRIVE = 2.0, 50.0
 """kg, N/m."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import golden
 
-from models import library
-from models.model import Model
-from telemetry.recording import Recording
+from upright.models import library
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 """True values of the independent plant; the other parameters are the same in plant and model."""

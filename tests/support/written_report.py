@@ -8,13 +8,13 @@ from html.parser import HTMLParser
 
 from virtual_records import multisine
 
-from diagnosis.diagnose import Diagnosis, diagnose
-from diagnosis.prediction.relevance import Relevance
-from diagnosis.report import Provenance, write_report
-from estimators.identify.run import with_values
-from telemetry.recording import Recording
-from vehicles.file import load
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, diagnose
+from upright.diagnosis.prediction.relevance import Relevance
+from upright.diagnosis.report import Provenance, write_report
+from upright.estimators.identify.run import with_values
+from upright.telemetry.recording import Recording
+from upright.vehicles.file import load
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

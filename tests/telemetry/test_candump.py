@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telemetry.candump import CandumpReader, format_frame, format_frames, parse_line, parse_time
-from telemetry.errors import RecordingError
-from telemetry.samples import CanFrame
+from upright.telemetry.candump import CandumpReader, format_frame, format_frames, parse_line, parse_time
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.samples import CanFrame
 
 stamps = st.integers(0, 9_999_999_999_999_999_999)
 payloads = st.binary(max_size=8)

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.others_recordings import SENSORS, OthersVehicle
-from service.cli.inputs import load_recording
-from telemetry.channels import Channel, ChannelTable
-from telemetry.clock import jitter, with_regular_times
-from telemetry.recording import Recording
+from upright.service.cli.inputs import load_recording
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.clock import jitter, with_regular_times
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from telemetry.documents import DEEPEST, from_json, from_toml
+from upright.telemetry.documents import DEEPEST, from_json, from_toml
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "[1", "9" * 5000, b"\xff"])

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from dialects import ANGLE, COUNT, TIME, VOLTAGE
 
-from telemetry.errors import RecordingError
-from telemetry.formats.files import FORMATS
-from telemetry.recording import Recording
-from telemetry.storage import load
-from telemetry.tables.mapping import said_of
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.files import FORMATS
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load
+from upright.telemetry.tables.mapping import said_of
+from upright.telemetry.tables.wanted import Wanted
 
 WANTED = (Wanted("voltage", "V", held=True), Wanted("angle", "rad", measured=True))
 BY_PATH = ("voltage=/command/data", "angle=/joint_states/pivot/position")
@@ -221,7 +221,7 @@ def test_folder_without_a_bag_is_refused(tmp_path: Path) -> None:
 def test_topics_that_would_make_too_large_a_table_are_refused_until_channels_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("telemetry.tables.several_clocks.MOST_CELLS", 1000)
+    monkeypatch.setattr("upright.telemetry.tables.several_clocks.MOST_CELLS", 1000)
     path = tmp_path / "run.mcap"
     files.mcap_json(files.two_topics)(path)
     with pytest.raises(RecordingError, match="2 topics") as caught:

@@ -48,11 +48,11 @@ from dialects import (
     with_holes,
 )
 
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.storage import load, load_all
-from telemetry.tables.mapping import MappingError, said_of
-from telemetry.tables.wanted import Wanted
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load, load_all
+from upright.telemetry.tables.mapping import MappingError, said_of
+from upright.telemetry.tables.wanted import Wanted
 
 WANTED = (Wanted("voltage", "V", held=True), Wanted("angle", "rad", measured=True))
 ALL = np.arange(COUNT)

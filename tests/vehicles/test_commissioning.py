@@ -5,10 +5,19 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from service.commission.evaluations.table import EVALUATIONS
-from vehicles import registry
-from vehicles.commissioning import Acceptance, CommissioningError, Entry, Number, State, Steps, is_within, steps_of
-from vehicles.file import load
+from upright.service.commission.evaluations.table import EVALUATIONS
+from upright.vehicles import registry
+from upright.vehicles.commissioning import (
+    Acceptance,
+    CommissioningError,
+    Entry,
+    Number,
+    State,
+    Steps,
+    is_within,
+    steps_of,
+)
+from upright.vehicles.file import load
 
 TABLE = {"title": "t", "why": "w", "why_now": "n", "evaluate": "confirmed"}
 STEPS = Steps.model_validate(

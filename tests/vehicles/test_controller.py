@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.control_design import LqiGains
-from vehicles.file import load
-from vehicles.monocab.control.controller import PrecessionReturn, RollController, SetpointLimits, design
-from vehicles.monocab.control.linear_model import MonocabParameters
+from upright.models.control_design import LqiGains
+from upright.vehicles.file import load
+from upright.vehicles.monocab.control.controller import PrecessionReturn, RollController, SetpointLimits, design
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
 
 GAINS = LqiGains(((100.0, 16.0, 1.0),), ((0.1,),), ((180.0,),), 0.004)
 LIMITS = SetpointLimits(rate=1.0, acceleration=40.0)

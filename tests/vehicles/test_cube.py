@@ -13,29 +13,29 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.prediction.closed_loop_error import Loop
-from diagnosis.prediction.compare import compare
-from drivers.cia402.drive import Drive
-from drivers.cia402.states import State
-from models.compiler.kernel import compile_model
-from models.segment import Segment
-from service.cli import app
-from service.control.loop import Mode
-from service.observer.online_estimators import online_estimators
-from service.offline.next_experiment import experiments_of
-from service.virtual.run import ClosedLoop, VirtualRunError, record
-from simulation.config import SimulationConfig
-from simulation.cube.plant import CubePlant
-from simulation.cube.truth import CubeTruth
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame
-from telemetry.storage import save
-from vehicles.cube.channels import CHANNELS
-from vehicles.cube.model import CUBE
-from vehicles.drives import drive_config
-from vehicles.file import VehicleFileError, load
-from vehicles.phases import Phase
-from vehicles.registry import recorded_loop
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.diagnosis.prediction.compare import compare
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.cia402.states import State
+from upright.models.compiler.kernel import compile_model
+from upright.models.segment import Segment
+from upright.service.cli import app
+from upright.service.control.loop import Mode
+from upright.service.observer.online_estimators import online_estimators
+from upright.service.offline.next_experiment import experiments_of
+from upright.service.virtual.run import ClosedLoop, VirtualRunError, record
+from upright.simulation.config import SimulationConfig
+from upright.simulation.cube.plant import CubePlant
+from upright.simulation.cube.truth import CubeTruth
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame
+from upright.telemetry.storage import save
+from upright.vehicles.cube.channels import CHANNELS
+from upright.vehicles.cube.model import CUBE
+from upright.vehicles.drives import drive_config
+from upright.vehicles.file import VehicleFileError, load
+from upright.vehicles.phases import Phase
+from upright.vehicles.registry import recorded_loop
 
 VEHICLE = load("cube")
 FILE = Path(VEHICLE.path).read_text()
@@ -188,7 +188,7 @@ def test_fault_stops_the_cube_with_its_code_and_it_rests_on_its_support(fault: s
 
 
 def test_prediction_error_fit_finds_the_true_parameters_within_1_percent() -> None:
-    from estimators.methods.prediction_error import prediction_error
+    from upright.estimators.methods.prediction_error import prediction_error
 
     found = prediction_error(CUBE, [recorded("multisine")], support=VEHICLE.support)
     for name, true in CubeTruth().parameters.items():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vehicles.excitation import (
+from upright.vehicles.excitation import (
     Doublet,
     Excitation,
     ExcitationError,
@@ -17,7 +17,7 @@ from vehicles.excitation import (
     Sweep,
     make_excitation,
 )
-from vehicles.file import ExperimentSection, load
+from upright.vehicles.file import ExperimentSection, load
 
 SHIPPED = load("monocab").experiments
 RATE = 250.0

@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.data.segments import BEFORE_A_FALL, falls_at, segments
-from estimators.recursive.frame_chunks import FrameChunks
-from models import library
-from models.natural_time import USUAL, natural_time
-from service.cli import app
-from service.control import assembly
-from service.virtual.run import VirtualRunError, record
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.phases import Phase
+from upright.estimators.data.segments import BEFORE_A_FALL, falls_at, segments
+from upright.estimators.recursive.frame_chunks import FrameChunks
+from upright.models import library
+from upright.models.natural_time import USUAL, natural_time
+from upright.service.cli import app
+from upright.service.control import assembly
+from upright.service.virtual.run import VirtualRunError, record
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
 
 MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}
 PUSH = {"twsbr": 90.0, "monocab": 60.0}

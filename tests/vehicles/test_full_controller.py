@@ -8,22 +8,29 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.prediction.closed_loop import simulate
-from models.control_design import ControlDesignError, LqiWeights, StateSpace, closed_loop, design_lqi, discretise
-from models.gravity import GRAVITY
-from service.control.assembly import vehicle_io
-from service.virtual.run import record
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.excitation import ExcitationError, make_excitation
-from vehicles.file import load
-from vehicles.monocab.control.full import FullController, FullState, SpeedLoop, design_full
-from vehicles.monocab.control.linear_model import MonocabParameters, full_model
-from vehicles.monocab.file import FULL, MonocabFile
-from vehicles.monocab.kind import Monocab
-from vehicles.monocab.model import MONOCAB_ROLL
-from vehicles.monocab.predicted import predictor
-from vehicles.phases import Phase
+from upright.diagnosis.prediction.closed_loop import simulate
+from upright.models.control_design import (
+    ControlDesignError,
+    LqiWeights,
+    StateSpace,
+    closed_loop,
+    design_lqi,
+    discretise,
+)
+from upright.models.gravity import GRAVITY
+from upright.service.control.assembly import vehicle_io
+from upright.service.virtual.run import record
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.excitation import ExcitationError, make_excitation
+from upright.vehicles.file import load
+from upright.vehicles.monocab.control.full import FullController, FullState, SpeedLoop, design_full
+from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model
+from upright.vehicles.monocab.file import FULL, MonocabFile
+from upright.vehicles.monocab.kind import Monocab
+from upright.vehicles.monocab.model import MONOCAB_ROLL
+from upright.vehicles.monocab.predicted import predictor
+from upright.vehicles.phases import Phase
 
 PERSON = 550.0
 """N m, the load of the experiment `side_load` and of the paper's figure 4."""

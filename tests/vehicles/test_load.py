@@ -14,20 +14,20 @@ import pytest
 from closed_loop import ClosedLoop
 from pydantic import ValidationError
 
-from diagnosis.prediction.compare import Comparison, compare
-from service.control.api import ExitCode, Message, result
-from service.control.server import ApiServer
-from service.observer.online_estimators import LOADED, online_estimators
-from service.virtual.passenger import Passenger
-from service.virtual.run import record
-from simulation.load import Load, LoadTorque
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from vehicles import registry
-from vehicles.file import load
-from vehicles.load import asked_for, load_of, refuse_loads, with_load, without_load
-from vehicles.phases import Phase
-from vehicles.sections import ExperimentSection
+from upright.diagnosis.prediction.compare import Comparison, compare
+from upright.service.control.api import ExitCode, Message, result
+from upright.service.control.server import ApiServer
+from upright.service.observer.online_estimators import LOADED, online_estimators
+from upright.service.virtual.passenger import Passenger
+from upright.service.virtual.run import record
+from upright.simulation.load import Load, LoadTorque
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.load import asked_for, load_of, refuse_loads, with_load, without_load
+from upright.vehicles.phases import Phase
+from upright.vehicles.sections import ExperimentSection
 
 VEHICLE = load("monocab")
 ASKED = VEHICLE.experiments["side_load"].load

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from models.control_design import StateSpace
-from models.gravity import GRAVITY
-from vehicles.monocab.control.linear_model import (
+from upright.models.control_design import StateSpace
+from upright.models.gravity import GRAVITY
+from upright.vehicles.monocab.control.linear_model import (
     MonocabParameters,
     ParameterError,
     apparent_inertia,

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from closed_loop import ClosedLoop
 
-from service.control.loop import Mode
-from simulation.monocab.hidden import HIDDEN
-from vehicles.contract import Lean
-from vehicles.file import load
-from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.file import MonocabFile
-from vehicles.monocab.watch import MonocabWatch
-from vehicles.phases import Phase
+from upright.service.control.loop import Mode
+from upright.simulation.monocab.hidden import HIDDEN
+from upright.vehicles.contract import Lean
+from upright.vehicles.file import load
+from upright.vehicles.monocab.axes import GimbalMeasurement
+from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.monocab.watch import MonocabWatch
+from upright.vehicles.phases import Phase
 
 SHIPPED = load("monocab")
 assert isinstance(SHIPPED, MonocabFile)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import small_vehicle
 
-from estimators.identify.run import identify, with_values
-from estimators.identify.subject import Subject
-from models import library
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
-from vehicles.monocab.identification.own import OWN
-from vehicles.monocab.identification.roll_prediction import free_motion, sensor_noise
-from vehicles.registry import nominal_model
+from upright.estimators.identify.run import identify, with_values
+from upright.estimators.identify.subject import Subject
+from upright.models import library
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
+from upright.vehicles.monocab.identification.own import OWN
+from upright.vehicles.monocab.identification.roll_prediction import free_motion, sensor_noise
+from upright.vehicles.registry import nominal_model
 
 SUPPORT = float(np.radians(4.0))
 RECURSIVE = ("recursive_least_squares", "recursive_instrumental_variables")

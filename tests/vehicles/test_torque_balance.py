@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from estimators.contract import Estimate, EstimationError, Status
-from estimators.data.state_variable_filter import StateVariableFilter
-from estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.monocab.identification.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
+from upright.estimators.contract import Estimate, EstimationError, Status
+from upright.estimators.data.state_variable_filter import StateVariableFilter
+from upright.estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.monocab.identification.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
 
 Array = NDArray[np.float64]
 

@@ -17,14 +17,14 @@ from scipy.linalg import expm
 from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, RigidBody, dynamicsymbols, inertia
 from twsbr_derivation import Derivation, derive
 
-from models.compiler.equations import compose
-from models.compiler.kernel import Kernel, compile_model
-from models.expressions import number
-from models.gravity import GRAVITY
-from models.library import get
-from models.model import Model
-from models.segment import Segment
-from vehicles.twsbr.channels import CHANNELS
+from upright.models.compiler.equations import compose
+from upright.models.compiler.kernel import Kernel, compile_model
+from upright.models.expressions import number
+from upright.models.gravity import GRAVITY
+from upright.models.library import get
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.vehicles.twsbr.channels import CHANNELS
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

@@ -15,25 +15,25 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.robot_next_experiment import log_odds
-from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.next_experiment import ENOUGH, suggest
-from diagnosis.prediction.closed_loop import simulate
-from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
-from estimators.identify.run import with_values
-from models.library import get
-from models.model import Model
-from models.parts import ModelError
-from service.cli import app
-from service.control.api import ExitCode, Message, result
-from service.control.server import ApiServer
-from service.offline.next_experiment import experiments_of, separating, suggest_for
-from service.virtual.run import record
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.recording import Recording
-from telemetry.storage import save
-from vehicles.file import VehicleFile, load
-from vehicles.phases import Phase
-from vehicles.registry import nominal_model
+from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
+from upright.diagnosis.next_experiment import ENOUGH, suggest
+from upright.diagnosis.prediction.closed_loop import simulate
+from upright.diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
+from upright.estimators.identify.run import with_values
+from upright.models.library import get
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.cli import app
+from upright.service.control.api import ExitCode, Message, result
+from upright.service.control.server import ApiServer
+from upright.service.offline.next_experiment import experiments_of, separating, suggest_for
+from upright.service.virtual.run import record
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import VehicleFile, load
+from upright.vehicles.phases import Phase
+from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 TRUE_VALUES = TwsbrTruth().table_1

@@ -15,19 +15,19 @@ import pytest
 from thorough import of_many
 from typer.testing import CliRunner
 
-from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
-from diagnosis.prediction.compare import compare
-from models.library import get
-from models.model import Model
-from service.cli import app
-from simulation.twsbr.truth import TwsbrTruth
-from telemetry.channels import ChannelTable
-from telemetry.recording import Recording
-from telemetry.storage import load as load_recording
-from telemetry.storage import save
-from vehicles.file import load
-from vehicles.phases import Phase
-from vehicles.registry import recorded_loop
+from upright.diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
+from upright.diagnosis.prediction.compare import compare
+from upright.models.library import get
+from upright.models.model import Model
+from upright.service.cli import app
+from upright.simulation.twsbr.truth import TwsbrTruth
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import load as load_recording
+from upright.telemetry.storage import save
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
+from upright.vehicles.registry import recorded_loop
 
 VEHICLE = load("twsbr")
 TRUTH = get("twsbr").change(TwsbrTruth().table_1)

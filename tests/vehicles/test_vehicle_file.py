@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vehicles.file import VehicleFileError, load, schema, shipped, shipped_file
+from upright.vehicles.file import VehicleFileError, load, schema, shipped, shipped_file
 
 MONOCAB = (Path(__file__).parents[2] / "vehicles" / "monocab" / "vehicle.toml").read_text()
 

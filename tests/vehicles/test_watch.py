@@ -7,15 +7,15 @@ from functools import cache
 
 import pytest
 
-from service.virtual.run import ClosedLoop
-from vehicles.contract import Lean
-from vehicles.cube.axes import WheelMeasurement
-from vehicles.cube.watch import CubeWatch
-from vehicles.file import load
-from vehicles.twsbr.axes import NOTHING_MEASURED
-from vehicles.twsbr.axes import WheelMeasurement as Wheels
-from vehicles.twsbr.watch import TwsbrWatch
-from vehicles.watch import GyroJumps
+from upright.service.virtual.run import ClosedLoop
+from upright.vehicles.contract import Lean
+from upright.vehicles.cube.axes import WheelMeasurement
+from upright.vehicles.cube.watch import CubeWatch
+from upright.vehicles.file import load
+from upright.vehicles.twsbr.axes import NOTHING_MEASURED
+from upright.vehicles.twsbr.axes import WheelMeasurement as Wheels
+from upright.vehicles.twsbr.watch import TwsbrWatch
+from upright.vehicles.watch import GyroJumps
 
 CUBE = load("cube")
 DT = CUBE.period

@@ -6,7 +6,7 @@ to the body, with the same sign; a positive torque turns the wheel forward, and 
 
 from __future__ import annotations
 
-from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
+from upright.telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
 
 CHANNELS = ChannelTable(
     (

@@ -18,9 +18,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from models.control_design import LqiGains, LqiWeights, StateSpace
-from models.control_robustness import CheckedDesign, Known, Spread, checked_design
-from vehicles.cube.file import CubeFile
+from upright.models.control_design import LqiGains, LqiWeights, StateSpace
+from upright.models.control_robustness import CheckedDesign, Known, Spread, checked_design
+from upright.vehicles.cube.file import CubeFile
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "wheel_inertia")
 """Parameters whose error of a fifth the design must tolerate."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from math import copysign, sin
 
-from drivers.cia402.states import State
-from vehicles.contract import HOLD, Command, Lean
-from vehicles.cube.axes import WheelMeasurement
-from vehicles.cube.controller import WheelController
-from vehicles.rising import Rising, Upright
+from upright.drivers.cia402.states import State
+from upright.vehicles.contract import HOLD, Command, Lean
+from upright.vehicles.cube.axes import WheelMeasurement
+from upright.vehicles.cube.controller import WheelController
+from upright.vehicles.rising import Rising, Upright
 
 UPRIGHT = Upright(angle=0.035, rate=0.3, time=0.2, timeout=0.8)
 """2 deg of tilt, either way. Getting up takes a fifth of a second; at full torque the wheel reaches its budget in

@@ -7,17 +7,17 @@ from enum import StrEnum
 from math import radians
 from typing import Any
 
-from drivers.vehicle_io import VehicleIo
-from estimators.roll_filter import RollState
-from models.control_robustness import CheckedDesign
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
-from vehicles.contract import Command, Lean
-from vehicles.cube.axes import Wheel, WheelMeasurement
-from vehicles.cube.controller import WheelController, design
-from vehicles.cube.file import CubeFile
-from vehicles.cube.handling import CubeHandling
-from vehicles.cube.watch import CubeWatch
-from vehicles.excitation import Excitation
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.roll_filter import RollState
+from upright.models.control_robustness import CheckedDesign
+from upright.vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
+from upright.vehicles.contract import Command, Lean
+from upright.vehicles.cube.axes import Wheel, WheelMeasurement
+from upright.vehicles.cube.controller import WheelController, design
+from upright.vehicles.cube.file import CubeFile
+from upright.vehicles.cube.handling import CubeHandling
+from upright.vehicles.cube.watch import CubeWatch
+from upright.vehicles.excitation import Excitation
 
 NEWTON_METRES, RADIANS_PER_SECOND = Unit("N m", digits=3), Unit("rad/s", digits=0)
 

@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from math import degrees, radians
 
-from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
-from estimators.data.segments import SUPPORT_MARGIN
-from models.control_design import LqiGains
-from models.model import Model
-from vehicles.cube.controller import WheelController, design
-from vehicles.cube.file import CubeFile
-from vehicles.excitation import Excitation, ExcitationError, make_excitation
-from vehicles.phases import DURATIONS, Phase
-from vehicles.sections import ExperimentSection
+from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
+from upright.estimators.data.segments import SUPPORT_MARGIN
+from upright.models.control_design import LqiGains
+from upright.models.model import Model
+from upright.vehicles.cube.controller import WheelController, design
+from upright.vehicles.cube.file import CubeFile
+from upright.vehicles.excitation import Excitation, ExcitationError, make_excitation
+from upright.vehicles.phases import DURATIONS, Phase
+from upright.vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"tilt", "tilt_rate", "wheel_rate"})
 """Outputs of a model that the controller needs."""

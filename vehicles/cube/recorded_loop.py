@@ -13,17 +13,17 @@ from math import degrees, radians
 
 import numpy as np
 
-from diagnosis.prediction.closed_loop import Controller, Limit
-from diagnosis.prediction.closed_loop_error import Loop
-from models.control_design import LqiGains
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from vehicles.cube.controller import WheelController, design
-from vehicles.cube.file import CubeFile
-from vehicles.drives import drive_config
-from vehicles.phases import Phase
-from vehicles.recorded import Recorded, entered_at, recorded
-from vehicles.sections import CONTROLLER_OUTPUT
+from upright.diagnosis.prediction.closed_loop import Controller, Limit
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.models.control_design import LqiGains
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.vehicles.cube.controller import WheelController, design
+from upright.vehicles.cube.file import CubeFile
+from upright.vehicles.drives import drive_config
+from upright.vehicles.phases import Phase
+from upright.vehicles.recorded import Recorded, entered_at, recorded
+from upright.vehicles.sections import CONTROLLER_OUTPUT
 
 MEASURED = ("tilt", "tilt_rate", "wheel_rate")
 COMPARED = ("tilt", "wheel_rate")

@@ -4,35 +4,35 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehicles.contract import Models, Prediction, Twin, VehicleKind
-from vehicles.cube.channels import CHANNELS
-from vehicles.cube.controller import design
-from vehicles.cube.file import CubeFile
-from vehicles.cube.kind import Cube
-from vehicles.cube.views import VIEWS
+from upright.vehicles.contract import Models, Prediction, Twin, VehicleKind
+from upright.vehicles.cube.channels import CHANNELS
+from upright.vehicles.cube.controller import design
+from upright.vehicles.cube.file import CubeFile
+from upright.vehicles.cube.kind import Cube
+from upright.vehicles.cube.views import VIEWS
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.identify.subject import OwnMethods
-    from models.control_robustness import CheckedDesign, Known
-    from telemetry.recording import Recording
+    from upright.diagnosis.prediction.closed_loop_error import Loop
+    from upright.estimators.identify.subject import OwnMethods
+    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.telemetry.recording import Recording
 
 
 def _models() -> Models:
-    from vehicles.cube.model import CUBE
+    from upright.vehicles.cube.model import CUBE
 
     return Models(CUBE)
 
 
 def _identification() -> OwnMethods:
     """Nothing: the methods for every model work for it."""
-    from estimators.identify.subject import NOTHING_OWN
+    from upright.estimators.identify.subject import NOTHING_OWN
 
     return NOTHING_OWN
 
 
 def _recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
-    from vehicles.cube.recorded_loop import recorded_loop
+    from upright.vehicles.cube.recorded_loop import recorded_loop
 
     return recorded_loop(vehicle, recording)
 
@@ -42,7 +42,7 @@ def _designs(vehicle: CubeFile, known: Known) -> dict[str, CheckedDesign]:
 
 
 def _prediction() -> Prediction:
-    from vehicles.cube import predicted
+    from upright.vehicles.cube import predicted
 
     return Prediction(
         predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.HARDEST_TO_SEPARATE, predicted.assumed
@@ -50,7 +50,7 @@ def _prediction() -> Prediction:
 
 
 def _twin() -> Twin:
-    from simulation.cube.truth import CubeTruth
+    from upright.simulation.cube.truth import CubeTruth
 
     return Twin(CubeTruth(), "upright_torque.eds")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import degrees
 
-from vehicles.views import DARK, TURN, Chart, Curve, Panel, Story, Views
+from upright.vehicles.views import DARK, TURN, Chart, Curve, Panel, Story, Views
 
 CHARTS = (
     Chart("tilt", "Tilt", "deg", TURN, (Curve("tilt", "measured"),)),

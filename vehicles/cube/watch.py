@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections import deque
 
-from drivers.vehicle_io import VehicleIo
-from estimators.imu_consistency import AVERAGED
-from telemetry.samples import Vector3
-from vehicles.contract import Lean
-from vehicles.cube.axes import WheelMeasurement
-from vehicles.cube.file import CubeFile
-from vehicles.watch import DEVIATIONS, SCALE, GyroJumps
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.imu_consistency import AVERAGED
+from upright.telemetry.samples import Vector3
+from upright.vehicles.contract import Lean
+from upright.vehicles.cube.axes import WheelMeasurement
+from upright.vehicles.cube.file import CubeFile
+from upright.vehicles.watch import DEVIATIONS, SCALE, GyroJumps
 
 DRY = 0.05
 """Share of the largest torque that may be dry friction."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.vehicle_io import VehicleIo
+from upright.drivers.vehicle_io import VehicleIo
 
 NAN = float("nan")
 

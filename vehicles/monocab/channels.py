@@ -8,7 +8,7 @@ gives a positive roll torque, so the torque balance reads
 
 from __future__ import annotations
 
-from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
+from upright.telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
 
 TRIM = "trim mass"
 

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import model_validator
 
-from vehicles.sections import (
+from upright.vehicles.sections import (
     CONTROLLER_OUTPUT,
     REST,
     ControllerSection,

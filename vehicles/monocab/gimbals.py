@@ -22,8 +22,8 @@ Source: Kessler, Regelungstechnik 6 (1958) 395 and 432; Leonhard, Control of Ele
 
 from __future__ import annotations
 
-from models.model import Model
-from models.parts import Actuator, Hold, Input, Output, Parameter, State
+from upright.models.model import Model
+from upright.models.parts import Actuator, Hold, Input, Output, Parameter, State
 
 COMMAND = "precession_rate_setpoint"
 _ACTING = f"({COMMAND} + ramp_share * setpoint_shortfall)"

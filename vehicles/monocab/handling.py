@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from math import copysign, radians
 
-from drivers.cia402.states import State
-from models.control_robustness import CheckedDesign
-from vehicles.contract import Command, Lean
-from vehicles.excitation import Excitation
-from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.control.controller import RollController
-from vehicles.monocab.control.full import FullController, FullState
-from vehicles.monocab.control.linear_model import MonocabParameters
-from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel, rise_rate
-from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, ROLL_REFERENCE, TRIM_RATE, MonocabFile
-from vehicles.sections import REST
+from upright.drivers.cia402.states import State
+from upright.models.control_robustness import CheckedDesign
+from upright.vehicles.contract import Command, Lean
+from upright.vehicles.excitation import Excitation
+from upright.vehicles.monocab.axes import GimbalMeasurement
+from upright.vehicles.monocab.control.controller import RollController
+from upright.vehicles.monocab.control.full import FullController, FullState
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel, rise_rate
+from upright.vehicles.monocab.control.roll_design import RollDesign
+from upright.vehicles.monocab.file import FULL, ROLL_REFERENCE, TRIM_RATE, MonocabFile
+from upright.vehicles.sections import REST
 
 CENTRE_RATE = 0.08
 """rad/s: 264 N m at 3300 N m s, a quarter of the torque that would lift the vehicle off the support."""

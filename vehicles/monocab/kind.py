@@ -7,21 +7,21 @@ from enum import StrEnum
 from math import degrees, radians
 from typing import Any
 
-from drivers.vehicle_io import VehicleIo
-from estimators.data.segments import SUPPORT_MARGIN
-from estimators.roll_filter import RollState
-from models.control_design import ControlDesignError
-from models.control_robustness import CheckedDesign
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
-from vehicles.contract import Command, Lean
-from vehicles.excitation import Excitation
-from vehicles.monocab.axes import GimbalMeasurement, Gimbals
-from vehicles.monocab.control.controller import design
-from vehicles.monocab.control.full import full_if_used
-from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, MonocabFile
-from vehicles.monocab.handling import GimbalHandling
-from vehicles.monocab.watch import MonocabWatch
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.data.segments import SUPPORT_MARGIN
+from upright.estimators.roll_filter import RollState
+from upright.models.control_design import ControlDesignError
+from upright.models.control_robustness import CheckedDesign
+from upright.vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
+from upright.vehicles.contract import Command, Lean
+from upright.vehicles.excitation import Excitation
+from upright.vehicles.monocab.axes import GimbalMeasurement, Gimbals
+from upright.vehicles.monocab.control.controller import design
+from upright.vehicles.monocab.control.full import full_if_used
+from upright.vehicles.monocab.control.roll_design import RollDesign
+from upright.vehicles.monocab.file import FULL, MonocabFile
+from upright.vehicles.monocab.handling import GimbalHandling
+from upright.vehicles.monocab.watch import MonocabWatch
 
 
 class MonocabCode(StrEnum):

@@ -19,10 +19,10 @@ from __future__ import annotations
 
 import math
 
-from models.gravity import GRAVITY
-from models.model import Model
-from models.parts import Actuator, Filter, Hold, Input, Joint, Output, Parameter, Sensor, State
-from vehicles.monocab.gimbals import SPEED_LOOPS
+from upright.models.gravity import GRAVITY
+from upright.models.model import Model
+from upright.models.parts import Actuator, Filter, Hold, Input, Joint, Output, Parameter, Sensor, State
+from upright.vehicles.monocab.gimbals import SPEED_LOOPS
 
 SUPPORT = math.radians(4.0)
 

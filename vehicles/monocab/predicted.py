@@ -6,20 +6,20 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from math import degrees, expm1, radians
 
-from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
-from estimators.data.segments import SUPPORT_MARGIN
-from estimators.speed_loop_steps import SpeedLoopSteps
-from models.control_design import ControlDesignError
-from models.control_robustness import CheckedDesign
-from models.gravity import GRAVITY
-from vehicles.excitation import Excitation, ExcitationError, make_excitation
-from vehicles.monocab.control.controller import RollController, design
-from vehicles.monocab.control.full import FullController, FullState, full_if_used, speed_loops
-from vehicles.monocab.control.linear_model import MonocabParameters
-from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, MonocabFile
-from vehicles.monocab.handling import entering
-from vehicles.sections import ExperimentSection
+from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
+from upright.estimators.data.segments import SUPPORT_MARGIN
+from upright.estimators.speed_loop_steps import SpeedLoopSteps
+from upright.models.control_design import ControlDesignError
+from upright.models.control_robustness import CheckedDesign
+from upright.models.gravity import GRAVITY
+from upright.vehicles.excitation import Excitation, ExcitationError, make_excitation
+from upright.vehicles.monocab.control.controller import RollController, design
+from upright.vehicles.monocab.control.full import FullController, FullState, full_if_used, speed_loops
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.control.roll_design import RollDesign
+from upright.vehicles.monocab.file import FULL, MonocabFile
+from upright.vehicles.monocab.handling import entering
+from upright.vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"roll", "roll_rate"})
 """Outputs of a model that the controller needs."""

@@ -21,27 +21,27 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.prediction.closed_loop import Controller
-from diagnosis.prediction.closed_loop_error import Loop
-from estimators.contract import Estimate
-from estimators.speed_loop import RUN_IN
-from estimators.speed_loop_steps import SpeedLoopSteps
-from models.control_robustness import CheckedDesign
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from vehicles.contract import Command, Lean
-from vehicles.excitation import Excitation, Nothing
-from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.control.controller import design
-from vehicles.monocab.control.full import design_full
-from vehicles.monocab.control.linear_model import MonocabParameters
-from vehicles.monocab.control.roll_design import RollDesign
-from vehicles.monocab.file import FULL, REDUCED, ROLL_REFERENCE, TRIM_RATE, MonocabFile
-from vehicles.monocab.handling import GimbalHandling
-from vehicles.monocab.identification.own import drive_lag, trim_drive_lag
-from vehicles.phases import Phase
-from vehicles.recorded import Recorded, entered_at, recorded
-from vehicles.sections import CONTROLLER_OUTPUT
+from upright.diagnosis.prediction.closed_loop import Controller
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.estimators.contract import Estimate
+from upright.estimators.speed_loop import RUN_IN
+from upright.estimators.speed_loop_steps import SpeedLoopSteps
+from upright.models.control_robustness import CheckedDesign
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.vehicles.contract import Command, Lean
+from upright.vehicles.excitation import Excitation, Nothing
+from upright.vehicles.monocab.axes import GimbalMeasurement
+from upright.vehicles.monocab.control.controller import design
+from upright.vehicles.monocab.control.full import design_full
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.control.roll_design import RollDesign
+from upright.vehicles.monocab.file import FULL, REDUCED, ROLL_REFERENCE, TRIM_RATE, MonocabFile
+from upright.vehicles.monocab.handling import GimbalHandling
+from upright.vehicles.monocab.identification.own import drive_lag, trim_drive_lag
+from upright.vehicles.phases import Phase
+from upright.vehicles.recorded import Recorded, entered_at, recorded
+from upright.vehicles.sections import CONTROLLER_OUTPUT
 
 POINTS = (ROLL_REFERENCE, CONTROLLER_OUTPUT)
 """Where an excitation may enter that leaves the trim mass to the controller."""

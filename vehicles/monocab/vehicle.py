@@ -4,37 +4,37 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehicles.contract import Models, Prediction, Twin, VehicleKind
-from vehicles.monocab.channels import CHANNELS
-from vehicles.monocab.control.controller import design
-from vehicles.monocab.control.full import design_full
-from vehicles.monocab.file import FULL, REDUCED, MonocabFile
-from vehicles.monocab.kind import Monocab
-from vehicles.monocab.views import VIEWS
+from upright.vehicles.contract import Models, Prediction, Twin, VehicleKind
+from upright.vehicles.monocab.channels import CHANNELS
+from upright.vehicles.monocab.control.controller import design
+from upright.vehicles.monocab.control.full import design_full
+from upright.vehicles.monocab.file import FULL, REDUCED, MonocabFile
+from upright.vehicles.monocab.kind import Monocab
+from upright.vehicles.monocab.views import VIEWS
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.identify.subject import OwnMethods
-    from models.control_robustness import CheckedDesign, Known
-    from telemetry.recording import Recording
-    from vehicles.contract import Measure
+    from upright.diagnosis.prediction.closed_loop_error import Loop
+    from upright.estimators.identify.subject import OwnMethods
+    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.telemetry.recording import Recording
+    from upright.vehicles.contract import Measure
 
 
 def _models() -> Models:
-    from vehicles.monocab.gimbals import SPEED_LOOPS
-    from vehicles.monocab.model import MONOCAB_ROLL
+    from upright.vehicles.monocab.gimbals import SPEED_LOOPS
+    from upright.vehicles.monocab.model import MONOCAB_ROLL
 
     return Models(MONOCAB_ROLL.add("static_torque"), SPEED_LOOPS)
 
 
 def _identification() -> OwnMethods:
-    from vehicles.monocab.identification.own import OWN
+    from upright.vehicles.monocab.identification.own import OWN
 
     return OWN
 
 
 def _recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
-    from vehicles.monocab.recorded_loop import recorded_loop
+    from upright.vehicles.monocab.recorded_loop import recorded_loop
 
     return recorded_loop(vehicle, recording)
 
@@ -47,20 +47,20 @@ def _designs(vehicle: MonocabFile, known: Known) -> dict[str, CheckedDesign]:
 
 
 def _prediction() -> Prediction:
-    from vehicles.monocab import predicted
+    from upright.vehicles.monocab import predicted
 
     return Prediction(predicted.NEEDS, predicted.GIVES, predicted.predictor)
 
 
 def _twin() -> Twin:
-    from simulation.monocab.truth import PlantTruth
+    from upright.simulation.monocab.truth import PlantTruth
 
     return Twin(PlantTruth(), "upright_servo.eds")
 
 
 def _evaluations() -> dict[str, Measure]:
-    from vehicles.monocab.identification.static_torque import static_torque
-    from vehicles.monocab.identification.trim_effect import trim_effect
+    from upright.vehicles.monocab.identification.static_torque import static_torque
+    from upright.vehicles.monocab.identification.trim_effect import trim_effect
 
     return {"static_torque": static_torque, "trim_effect": trim_effect}
 

@@ -21,17 +21,17 @@ from collections import deque
 from collections.abc import Sequence
 from math import ceil, exp, expm1, inf, radians
 
-from drivers.cia402.drive import Drive
-from drivers.vehicle_io import VehicleIo
-from estimators.imu_consistency import AVERAGED
-from estimators.speed_loop_steps import SpeedLoopSteps
-from models.gravity import GRAVITY
-from telemetry.samples import Vector3
-from vehicles.contract import Lean
-from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.control.linear_model import MonocabParameters
-from vehicles.monocab.file import MonocabFile
-from vehicles.watch import DEVIATIONS, SCALE, GyroJumps
+from upright.drivers.cia402.drive import Drive
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.imu_consistency import AVERAGED
+from upright.estimators.speed_loop_steps import SpeedLoopSteps
+from upright.models.gravity import GRAVITY
+from upright.telemetry.samples import Vector3
+from upright.vehicles.contract import Lean
+from upright.vehicles.monocab.axes import GimbalMeasurement
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.watch import DEVIATIONS, SCALE, GyroJumps
 
 ON_THE_BUS = 2
 """Cycles from the one in which a setpoint is sent to the first in which a rate that follows it is read."""

@@ -6,7 +6,7 @@ to the left is (right - left wheel) radius / distance > 0.
 
 from __future__ import annotations
 
-from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
+from upright.telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
 
 CHANNELS = ChannelTable(
     (

@@ -25,8 +25,8 @@ from __future__ import annotations
 
 from math import degrees, radians
 
-from models.gravity import GRAVITY
-from vehicles.twsbr.file import TwsbrFile
+from upright.models.gravity import GRAVITY
+from upright.vehicles.twsbr.file import TwsbrFile
 
 
 class WheelReturn:

@@ -7,11 +7,11 @@ bumper from which it got up, and then the motors get 0 V, which shorts and so br
 
 from __future__ import annotations
 
-from drivers.cia402.states import State
-from vehicles.contract import HOLD, Command, Lean
-from vehicles.rising import Rising, Upright
-from vehicles.twsbr.axes import WheelMeasurement, Wheels
-from vehicles.twsbr.controller import TiltController
+from upright.drivers.cia402.states import State
+from upright.vehicles.contract import HOLD, Command, Lean
+from upright.vehicles.rising import Rising, Upright
+from upright.vehicles.twsbr.axes import WheelMeasurement, Wheels
+from upright.vehicles.twsbr.controller import TiltController
 
 UPRIGHT = Upright(angle=0.035, rate=0.5, time=0.2, timeout=4.0)
 """2 deg of tilt, either way; getting up takes half a second, and coming to rest longer if the gears have backlash."""

@@ -7,16 +7,16 @@ from enum import StrEnum
 from math import radians
 from typing import Any
 
-from drivers.vehicle_io import VehicleIo
-from estimators.roll_filter import RollState
-from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, IMU_CONTRADICTION, Bound, Unit, When
-from vehicles.contract import Command, Lean
-from vehicles.excitation import Excitation
-from vehicles.twsbr.axes import WheelMeasurement, Wheels
-from vehicles.twsbr.controller import TiltController
-from vehicles.twsbr.file import TwsbrFile
-from vehicles.twsbr.handling import WheelHandling
-from vehicles.twsbr.watch import TwsbrWatch
+from upright.drivers.vehicle_io import VehicleIo
+from upright.estimators.roll_filter import RollState
+from upright.vehicles.bounds import DEGREES, DEGREES_PER_SECOND, IMU_CONTRADICTION, Bound, Unit, When
+from upright.vehicles.contract import Command, Lean
+from upright.vehicles.excitation import Excitation
+from upright.vehicles.twsbr.axes import WheelMeasurement, Wheels
+from upright.vehicles.twsbr.controller import TiltController
+from upright.vehicles.twsbr.file import TwsbrFile
+from upright.vehicles.twsbr.handling import WheelHandling
+from upright.vehicles.twsbr.watch import TwsbrWatch
 
 
 class TwsbrCode(StrEnum):

@@ -19,9 +19,9 @@ from __future__ import annotations
 
 import math
 
-from models.gravity import GRAVITY
-from models.model import Model
-from models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
+from upright.models.gravity import GRAVITY
+from upright.models.model import Model
+from upright.models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 
 COUNT = 2.0 * math.pi / 700.0
 """rad of a wheel per encoder count."""

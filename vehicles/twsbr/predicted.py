@@ -11,14 +11,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from math import degrees, radians
 
-from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
-from estimators.data.segments import SUPPORT_MARGIN
-from models.model import Model
-from vehicles.excitation import Excitation, ExcitationError, make_excitation
-from vehicles.phases import DURATIONS, Phase
-from vehicles.sections import ExperimentSection
-from vehicles.twsbr.controller import TiltController
-from vehicles.twsbr.file import TwsbrFile
+from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
+from upright.estimators.data.segments import SUPPORT_MARGIN
+from upright.models.model import Model
+from upright.vehicles.excitation import Excitation, ExcitationError, make_excitation
+from upright.vehicles.phases import DURATIONS, Phase
+from upright.vehicles.sections import ExperimentSection
+from upright.vehicles.twsbr.controller import TiltController
+from upright.vehicles.twsbr.file import TwsbrFile
 
 NEEDS = frozenset({"tilt", "tilt_rate", "left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate"})
 """Outputs of a model that the controller needs."""

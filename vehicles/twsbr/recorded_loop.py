@@ -18,15 +18,15 @@ from math import degrees, radians
 
 import numpy as np
 
-from diagnosis.prediction.closed_loop import Controller, Limit
-from diagnosis.prediction.closed_loop_error import Loop
-from telemetry.recording import Recording
-from vehicles.drives import drive_config
-from vehicles.phases import Phase
-from vehicles.recorded import Recorded, entered_at, recorded
-from vehicles.sections import CONTROLLER_OUTPUT, is_reference
-from vehicles.twsbr.controller import TiltController
-from vehicles.twsbr.file import TwsbrFile
+from upright.diagnosis.prediction.closed_loop import Controller, Limit
+from upright.diagnosis.prediction.closed_loop_error import Loop
+from upright.telemetry.recording import Recording
+from upright.vehicles.drives import drive_config
+from upright.vehicles.phases import Phase
+from upright.vehicles.recorded import Recorded, entered_at, recorded
+from upright.vehicles.sections import CONTROLLER_OUTPUT, is_reference
+from upright.vehicles.twsbr.controller import TiltController
+from upright.vehicles.twsbr.file import TwsbrFile
 
 TILT = ("tilt", "tilt_rate")
 WHEELS = ("left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate")

@@ -4,34 +4,34 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehicles.contract import Models, Prediction, Twin, VehicleKind
-from vehicles.twsbr.channels import CHANNELS
-from vehicles.twsbr.file import TwsbrFile
-from vehicles.twsbr.kind import Twsbr
-from vehicles.twsbr.views import VIEWS
+from upright.vehicles.contract import Models, Prediction, Twin, VehicleKind
+from upright.vehicles.twsbr.channels import CHANNELS
+from upright.vehicles.twsbr.file import TwsbrFile
+from upright.vehicles.twsbr.kind import Twsbr
+from upright.vehicles.twsbr.views import VIEWS
 
 if TYPE_CHECKING:
-    from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.identify.subject import OwnMethods
-    from models.control_robustness import CheckedDesign, Known
-    from telemetry.recording import Recording
+    from upright.diagnosis.prediction.closed_loop_error import Loop
+    from upright.estimators.identify.subject import OwnMethods
+    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.telemetry.recording import Recording
 
 
 def _models() -> Models:
-    from vehicles.twsbr.model import TWSBR
+    from upright.vehicles.twsbr.model import TWSBR
 
     return Models(TWSBR)
 
 
 def _identification() -> OwnMethods:
     """Nothing: each of its equations holds products of several unknowns, which no linear regression can separate."""
-    from estimators.identify.subject import NOTHING_OWN
+    from upright.estimators.identify.subject import NOTHING_OWN
 
     return NOTHING_OWN
 
 
 def _recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
-    from vehicles.twsbr.recorded_loop import recorded_loop
+    from upright.vehicles.twsbr.recorded_loop import recorded_loop
 
     return recorded_loop(vehicle, recording)
 
@@ -42,7 +42,7 @@ def _designs(vehicle: TwsbrFile, known: Known) -> dict[str, CheckedDesign]:
 
 
 def _prediction() -> Prediction:
-    from vehicles.twsbr import predicted
+    from upright.vehicles.twsbr import predicted
 
     return Prediction(
         predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.HARDEST_TO_SEPARATE, predicted.assumed
@@ -50,7 +50,7 @@ def _prediction() -> Prediction:
 
 
 def _twin() -> Twin:
-    from simulation.twsbr.truth import TwsbrTruth
+    from upright.simulation.twsbr.truth import TwsbrTruth
 
     return Twin(TwsbrTruth(), "upright_motor.eds")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from estimators.imu_consistency import AVERAGED
-from telemetry.samples import Vector3
-from vehicles.contract import Lean
-from vehicles.twsbr.axes import WheelMeasurement
+from upright.estimators.imu_consistency import AVERAGED
+from upright.telemetry.samples import Vector3
+from upright.vehicles.contract import Lean
+from upright.vehicles.twsbr.axes import WheelMeasurement
 
 AT_REST: Vector3 = (0.0, 0.0, 0.0)
 

@@ -14,12 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.force_bins import Binned
-from diagnosis.lack_of_fit.missing_force import MissingForce
-from diagnosis.lack_of_fit.where_it_fails import Energy
-from diagnosis.prediction.closed_loop_error import ClosedLoop
-from diagnosis.prediction.compare import Comparison
-from diagnosis.report.figures.drawing import Picture
+from upright.diagnosis.lack_of_fit.force_bins import Binned
+from upright.diagnosis.lack_of_fit.missing_force import MissingForce
+from upright.diagnosis.lack_of_fit.where_it_fails import Energy
+from upright.diagnosis.prediction.closed_loop_error import ClosedLoop
+from upright.diagnosis.prediction.compare import Comparison
+from upright.diagnosis.report.figures.drawing import Picture
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from diagnosis.lack_of_fit.force_bins import Binned
-from diagnosis.lack_of_fit.where_it_fails import Energy
-from diagnosis.prediction.compare import Comparison
-from diagnosis.prediction.horizons import Prediction
-from diagnosis.report.figures.drawing import (
+from upright.diagnosis.lack_of_fit.force_bins import Binned
+from upright.diagnosis.lack_of_fit.where_it_fails import Energy
+from upright.diagnosis.prediction.compare import Comparison
+from upright.diagnosis.prediction.horizons import Prediction
+from upright.diagnosis.report.figures.drawing import (
     FLOOR,
     MEASURED,
     WIDTH,

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from models.model import Model
+from upright.models.model import Model
 
 Array = NDArray[np.float64]
 

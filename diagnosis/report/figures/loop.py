@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from diagnosis.prediction.closed_loop_error import ClosedLoop
-from diagnosis.prediction.compare import Comparison
-from diagnosis.report.figures.diagnosis import BAND, IN_A_ROW
-from diagnosis.report.figures.drawing import (
+from upright.diagnosis.prediction.closed_loop_error import ClosedLoop
+from upright.diagnosis.prediction.compare import Comparison
+from upright.diagnosis.report.figures.diagnosis import BAND, IN_A_ROW
+from upright.diagnosis.report.figures.drawing import (
     MEASURED,
     STYLE,
     WIDTH,

@@ -20,9 +20,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from diagnosis.report.figures.drawing import Picture
-from estimators.contract import EstimationError
-from estimators.identify.table import Domain
+from upright.diagnosis.report.figures.drawing import Picture
+from upright.estimators.contract import EstimationError
+from upright.estimators.identify.table import Domain
 
 SUFFIXES = (".png", ".svg", ".pdf")
 STYLES = {

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.report.figures.drawing import Array, Picture, shown, thinned
-from telemetry.recording import Recording
+from upright.diagnosis.report.figures.drawing import Array, Picture, shown, thinned
+from upright.telemetry.recording import Recording
 
 
 def recording_figure(recording: Recording, channels: Sequence[str] = ()) -> Picture:

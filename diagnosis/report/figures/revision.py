@@ -12,8 +12,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from diagnosis.report.revision_words import readable
-from diagnosis.revise.result import Revision
+from upright.diagnosis.report.revision_words import readable
+from upright.diagnosis.revise.result import Revision
 
 BEFORE, AFTER, FLOOR, LEFT = "#D55E00", "#0072B2", "0.75", "#E69F00"
 NARROWEST = 0.06

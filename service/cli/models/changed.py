@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from service.cli.arguments import effects, models, vehicles
-from service.output import page, people, print_json
+from upright.service.cli.arguments import effects, models, vehicles
+from upright.service.output import page, people, print_json
 
 if TYPE_CHECKING:
-    from diagnosis.revise.result import Revision
-    from models.effect import Effect
-    from models.file.document import ModelFile
-    from telemetry.recording import Recording
+    from upright.diagnosis.revise.result import Revision
+    from upright.models.effect import Effect
+    from upright.models.file.document import ModelFile
+    from upright.telemetry.recording import Recording
 
 FileArgument = Annotated[Path, typer.Argument(help="A model file, .toml.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -83,19 +83,19 @@ def add(
     and standard deviations are written to the file, and the change of the error to its history. Without recordings the
     amplitudes of the effect are zero, at which it changes nothing.
     """
-    from service.offline.model_files import save, with_effect
+    from upright.service.offline.model_files import save, with_effect
 
     if not recording and (held_out or picture):
         raise typer.BadParameter("a --recording is required, to fit the model to.", param_hint="--held-out, --picture")
     if picture is not None:
-        from diagnosis.report.figures.methods import check_suffix
+        from upright.diagnosis.report.figures.methods import check_suffix
 
         check_suffix(picture)
     before, target = _start(name, vehicle), _target(name, output)
     after = with_effect(before, effect, at)
     found: Revision | None = None
     if recording:
-        from service.cli.models.history_entry import fit_entry, rounded
+        from upright.service.cli.models.history_entry import fit_entry, rounded
 
         wanted = after.model.effects[-1]
         found = _revise(before, wanted.effect, wanted.at, recording, held_out or [], vehicle)
@@ -104,7 +104,7 @@ def add(
         after = replace(after, model=changed, history=(*before.history, entry))
     added = after.model.effects[-1]
     if found is not None and picture is not None:
-        from diagnosis.report.figures.revision import save_revision
+        from upright.diagnosis.report.figures.revision import save_revision
 
         save_revision(found, picture)
     save(after, target)
@@ -116,18 +116,18 @@ def add(
             "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in added.parameters},
         }
         if found is not None:
-            from diagnosis.report.revision_words import in_words
+            from upright.diagnosis.report.revision_words import in_words
 
             document["repair"] = {**found.to_json(), "words": in_words(found)}
         print_json(document)
         return
-    from service.pages.model import print_parameters
+    from upright.service.pages.model import print_parameters
 
     page.print(f"{target}: {added.name} added at {added.at}: {added.effect.equation}", markup=False, soft_wrap=True)
     if found is None:
         print_parameters(added.parameters)
         return
-    from service.cli.pages.revision import print_revision
+    from upright.service.cli.pages.revision import print_revision
 
     print_revision(found)
     page.print(f"\nUndo it with `upright model undo {target}`.", markup=False, soft_wrap=True)
@@ -140,8 +140,8 @@ def undo(file: FileArgument, json: JsonOption = False) -> None:
 
     A parameter that has been changed by hand since then keeps its value.
     """
-    from models.file.history import undone
-    from models.file.model_file import read, write
+    from upright.models.file.history import undone
+    from upright.models.file.model_file import read, write
 
     before = read(file)
     after, effect, kept = undone(before)
@@ -164,10 +164,10 @@ def drop_test(
     json: JsonOption = False,
 ) -> None:
     """Fit the model without each of its effects in turn, to see which are needed and which can be removed."""
-    from diagnosis.revise.drop_tests import drop_tests
-    from models.file.history import before_fits
-    from models.file.model_file import read
-    from service.cli.inputs import working
+    from upright.diagnosis.revise.drop_tests import drop_tests
+    from upright.models.file.history import before_fits
+    from upright.models.file.model_file import read
+    from upright.service.cli.inputs import working
 
     written = read(file)
     model, support = before_fits(written), _support(vehicle)
@@ -177,22 +177,22 @@ def drop_test(
     if json:
         print_json({"file": str(file), "effects": [each.to_json() for each in tests]})
         return
-    from service.cli.pages.revision import print_drop_tests
+    from upright.service.cli.pages.revision import print_drop_tests
 
     print_drop_tests(tests, str(file))
 
 
 def _start(name: str, vehicle: str | None) -> ModelFile:
     """The model to add to: a model file, or a shipped model with the CAD values of the vehicle."""
-    from service.offline.model_files import started
-    from vehicles.file import load
+    from upright.service.offline.model_files import started
+    from upright.vehicles.file import load
 
     return started(name, None if vehicle is None or name.endswith(".toml") else load(vehicle))
 
 
 def _target(name: str, output: Path | None) -> Path:
     """The file to write. Raises ModelError if it cannot be written."""
-    from models.parts import ModelError
+    from upright.models.parts import ModelError
 
     if output is None:
         if not name.endswith(".toml"):
@@ -213,10 +213,10 @@ def _revise(
     held_out: Sequence[Path],
     vehicle: str | None,
 ) -> Revision:
-    from diagnosis.revise.revision import revise
-    from models.file.history import before_fits
-    from service.cli.inputs import working
-    from vehicles.load import refuse_loads
+    from upright.diagnosis.revise.revision import revise
+    from upright.models.file.history import before_fits
+    from upright.service.cli.inputs import working
+    from upright.vehicles.load import refuse_loads
 
     support = _support(vehicle)
     training, tried = ([_load(path, vehicle, file) for path in paths] for paths in (recordings, held_out))
@@ -236,15 +236,15 @@ def _revise(
 def _support(vehicle: str | None) -> float | None:
     if vehicle is None:
         return None
-    from vehicles.file import load
+    from upright.vehicles.file import load
 
     return load(vehicle).support
 
 
 def _load(path: Path, vehicle: str | None, file: ModelFile) -> Recording:
-    from service.offline.read import read
-    from telemetry.tables.mapping import Said, columns_of
-    from vehicles.file import load
+    from upright.service.offline.read import read
+    from upright.telemetry.tables.mapping import Said, columns_of
+    from upright.vehicles.file import load
 
     known = None if vehicle is None else load(vehicle)
     found, notes = read(path, known, [file.model], Said(columns_of(file.columns)))

@@ -7,10 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from diagnosis.revise.result import Revision
-from estimators.numbers import significant
-from models.file.history import values_of
-from models.model import Model
+from upright.diagnosis.revise.result import Revision
+from upright.estimators.numbers import significant
+from upright.models.file.history import values_of
+from upright.models.model import Model
 
 
 def rounded(found: Revision) -> Model:

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from service.cli.arguments import effects, models, vehicles
-from service.cli.models import changed
-from service.output import page, print_json
+from upright.service.cli.arguments import effects, models, vehicles
+from upright.service.cli.models import changed
+from upright.service.output import page, print_json
 
 model = typer.Typer(
     help="Models: their equations, and the physical effects that can be added to them.", no_args_is_help=True
@@ -59,9 +59,9 @@ def show(
     The equation of a joint contains the force of an effect by the effect's name. `:=` marks a command or a measurement
     that an effect replaces.
     """
-    from models import rendering
-    from models.file.document import ModelFile
-    from models.file.model_file import load_model, read
+    from upright.models import rendering
+    from upright.models.file.document import ModelFile
+    from upright.models.file.model_file import load_model, read
 
     file = read(name) if name.endswith(".toml") else ModelFile(load_model(name))
     shown = file.model
@@ -73,7 +73,7 @@ def show(
     elif format is Format.LATEX:
         typer.echo(rendering.latex(shown))
     else:
-        from service.pages.model import print_model
+        from upright.service.pages.model import print_model
 
         print_model(shown, file.history)
 
@@ -89,8 +89,8 @@ def list_effects(
     from rich.padding import Padding
     from rich.text import Text
 
-    from models.effect import Family
-    from models.effects.catalogue import CATALOGUE
+    from upright.models.effect import Family
+    from upright.models.effects.catalogue import CATALOGUE
 
     families = [each.value for each in Family]
     if family is not None and family not in families:
@@ -149,11 +149,11 @@ def new(
     """Write a new model file: a shipped model with the parameter values of a vehicle. It does not overwrite a file."""
     from dataclasses import replace
 
-    from models import library
-    from models.file.document import ModelFile
-    from models.file.model_file import parse, write
-    from models.parts import ModelError
-    from service.offline.model_files import now
+    from upright.models import library
+    from upright.models.file.document import ModelFile
+    from upright.models.file.model_file import parse, write
+    from upright.models.parts import ModelError
+    from upright.service.offline.model_files import now
 
     if file.suffix != ".toml":
         raise ModelError(str(file), "is not a name of a model file", remedy="use the suffix .toml.")
@@ -162,7 +162,7 @@ def new(
     start = library.get(base)
     entry = {"action": "new", "date": now()}
     if vehicle is not None:
-        from vehicles.file import load
+        from upright.vehicles.file import load
 
         parameters = load(vehicle).parameters
         known = {parameter.name for parameter in start.parameters}
@@ -182,7 +182,7 @@ def remove(
     json: JsonOption = False,
 ) -> None:
     """Remove an effect from a model file, with a history entry."""
-    from service.offline.model_files import save, started, without_effect
+    from upright.service.offline.model_files import save, started, without_effect
 
     after = without_effect(started(file), effect)
     save(after, file)
@@ -202,7 +202,7 @@ def allow(
 
     It is known by its content, whatever its name. Once changed, it has to be allowed again.
     """
-    from models.file.allowed_code import allow as allow_file
+    from upright.models.file.allowed_code import allow as allow_file
 
     digest = allow_file(file)
     if json:

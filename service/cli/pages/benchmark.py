@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from service.output import page
+from upright.service.output import page
 
 if TYPE_CHECKING:
-    from service.hidden_effects.results.summary import Figure, Merit, Summary
+    from upright.service.hidden_effects.results.summary import Figure, Merit, Summary
 
 Row = tuple[str, str, "Callable[[Merit], Figure | None]", bool]
 """Heading, target value, the figure of a method, whether it is a share."""

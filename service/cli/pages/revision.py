@@ -7,12 +7,12 @@ from collections.abc import Iterable, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from diagnosis.report.revision_words import in_words, odds_text, readable
-from diagnosis.report.sentences import disturbance_text
-from diagnosis.revise.drop_tests import DropTest
-from diagnosis.revise.result import Budget, FittedParameter, Revision
-from estimators.numbers import significant
-from service.output import page
+from upright.diagnosis.report.revision_words import in_words, odds_text, readable
+from upright.diagnosis.report.sentences import disturbance_text
+from upright.diagnosis.revise.drop_tests import DropTest
+from upright.diagnosis.revise.result import Budget, FittedParameter, Revision
+from upright.estimators.numbers import significant
+from upright.service.output import page
 
 BAR = 60
 """Columns of the budget's bar."""

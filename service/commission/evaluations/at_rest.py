@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.roll_filter import RollState
-from service.commission.evidence import Evidence, Found
-from service.control import assembly
-from telemetry.candump import CandumpReader
-from vehicles import registry
-from vehicles.commissioning import CommissioningError, Number
-from vehicles.sections import VehicleFile
+from upright.estimators.roll_filter import RollState
+from upright.service.commission.evidence import Evidence, Found
+from upright.service.control import assembly
+from upright.telemetry.candump import CandumpReader
+from upright.vehicles import registry
+from upright.vehicles.commissioning import CommissioningError, Number
+from upright.vehicles.sections import VehicleFile
 
 Array = NDArray[np.float64]
 ENDS = 1.0

@@ -6,10 +6,10 @@ from math import degrees
 
 import numpy as np
 
-from service.commission.evidence import Evidence, Found
-from service.offline.replay import load
-from vehicles.commissioning import Number
-from vehicles.phases import Phase
+from upright.service.commission.evidence import Evidence, Found
+from upright.service.offline.replay import load
+from upright.vehicles.commissioning import Number
+from upright.vehicles.phases import Phase
 
 END = 2.0
 """s at the end of the excitation over which a channel is averaged."""

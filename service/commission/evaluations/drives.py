@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from estimators.identify.table import METHODS, Domain
-from service.commission.evidence import Evidence, Found
-from service.offline.replay import load
-from service.whole_file import write_whole
-from telemetry.candump import CandumpReader
-from vehicles import registry
-from vehicles.commissioning import Number
-from vehicles.phases import Phase
+from upright.estimators.identify.table import METHODS, Domain
+from upright.service.commission.evidence import Evidence, Found
+from upright.service.offline.replay import load
+from upright.service.whole_file import write_whole
+from upright.telemetry.candump import CandumpReader
+from upright.vehicles import registry
+from upright.vehicles.commissioning import Number
+from upright.vehicles.phases import Phase
 
 LISTENING = 2.0
 """s between two looks at the daemon's counts."""

@@ -11,10 +11,10 @@ from math import degrees, inf, isfinite, log10, sqrt
 from pathlib import Path
 from typing import Any
 
-from estimators.identify.table import Domain
-from service.commission.evidence import Evidence, Found
-from service.whole_file import write_whole
-from vehicles.commissioning import CommissioningError, Number
+from upright.estimators.identify.table import Domain
+from upright.service.commission.evidence import Evidence, Found
+from upright.service.whole_file import write_whole
+from upright.vehicles.commissioning import CommissioningError, Number
 
 
 def identified(evidence: Evidence) -> Found:
@@ -178,7 +178,7 @@ def _model(evidence: Evidence) -> list[str]:
 
 
 def _begin(evidence: Evidence) -> list[str]:
-    from vehicles import registry
+    from upright.vehicles import registry
 
     begin = registry.of(evidence.vehicle.vehicle.kind).views.story.begin
     return ["--from", f"{begin:g}"] if begin else []

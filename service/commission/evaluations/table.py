@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from service.commission.evaluations import at_rest, course, drives, results
-from service.commission.evidence import Evaluation, Evidence, Found
-from vehicles import registry
-from vehicles.commissioning import CommissioningError
+from upright.service.commission.evaluations import at_rest, course, drives, results
+from upright.service.commission.evidence import Evaluation, Evidence, Found
+from upright.vehicles import registry
+from upright.vehicles.commissioning import CommissioningError
 
 
 def confirmed(evidence: Evidence) -> Found:
@@ -45,6 +45,6 @@ def evaluation(name: str, kind: str) -> Evaluation:
 
 
 def _own(measure: Any, evidence: Evidence) -> Found:
-    from service.offline.replay import load
+    from upright.service.offline.replay import load
 
     return Found(measure(evidence.vehicle, [load(each, evidence.vehicle) for each in evidence.recordings]))

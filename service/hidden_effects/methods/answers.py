@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from estimators.disturbance_estimate import DisturbanceEstimate
-from models.effect import Effect
-from models.model import Model
-from telemetry.recording import Recording
+from upright.estimators.disturbance_estimate import DisturbanceEstimate
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
 
 ADEQUATE = "adequate"
 MISSING = "missing_effect"
@@ -76,9 +76,9 @@ def diagnosis(
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
     """The answer of `upright diagnose`, with the gimbals as a separate part."""
-    from diagnosis.parts import diagnose_parts
-    from vehicles import registry
-    from vehicles.file import load
+    from upright.diagnosis.parts import diagnose_parts
+    from upright.vehicles import registry
+    from upright.vehicles.file import load
 
     actuators = registry.models_of(load("monocab")).actuators
     return of_diagnosis(diagnose_parts(model, actuators, recordings, support=support, candidates=candidates))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from service.hidden_effects.methods.answers import Method
-from service.hidden_effects.methods.exhaustive import exhaustive_bic
-from service.hidden_effects.methods.regressions import differentiate_sindy, smoother_stepwise
+from upright.service.hidden_effects.methods.answers import Method
+from upright.service.hidden_effects.methods.exhaustive import exhaustive_bic
+from upright.service.hidden_effects.methods.regressions import differentiate_sindy, smoother_stepwise
 
 BASELINES: Mapping[str, Method] = {
     "differentiate_sindy": differentiate_sindy,

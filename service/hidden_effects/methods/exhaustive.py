@@ -11,14 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.fit.problem import Problem, problem
-from estimators.methods.output_error import fit, longest_window
-from models.effect import Effect
-from models.effects.catalogue import CATALOGUE
-from models.model import Model
-from models.parts import ModelError
-from service.hidden_effects.methods.answers import ADEQUATE, MISSING, Answer, Found
-from telemetry.recording import Recording
+from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.methods.output_error import fit, longest_window
+from upright.models.effect import Effect
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.model import Model
+from upright.models.parts import ModelError
+from upright.service.hidden_effects.methods.answers import ADEQUATE, MISSING, Answer, Found
+from upright.telemetry.recording import Recording
 
 
 def exhaustive_bic(

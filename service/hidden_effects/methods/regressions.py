@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.stats import f as f_distribution
 
-from estimators.data.segments import segments
-from models.effect import Effect
-from models.model import Model
-from models.segment import Segment
-from service.hidden_effects.methods.answers import Answer
-from service.hidden_effects.methods.terms import Term, evaluated, measured, regression, residual
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
+from upright.estimators.data.segments import segments
+from upright.models.effect import Effect
+from upright.models.model import Model
+from upright.models.segment import Segment
+from upright.service.hidden_effects.methods.answers import Answer
+from upright.service.hidden_effects.methods.terms import Term, evaluated, measured, regression, residual
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 

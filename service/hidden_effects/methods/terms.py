@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.attach import starts
-from models.effect import AttachedEffect
-from models.effects.catalogue import CATALOGUE
-from models.expression_syntax import CONSTANTS, OPERATIONS, fold, validated
-from models.model import Model
-from models.parts import ModelError, Place
-from models.segment import Segment
+from upright.models.attach import starts
+from upright.models.effect import AttachedEffect
+from upright.models.effects.catalogue import CATALOGUE
+from upright.models.expression_syntax import CONSTANTS, OPERATIONS, fold, validated
+from upright.models.model import Model
+from upright.models.parts import ModelError, Place
+from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
 

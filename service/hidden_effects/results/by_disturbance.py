@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.hidden_effects.disturbances import NONE
-from service.hidden_effects.trial import Line
+from upright.service.hidden_effects.disturbances import NONE
+from upright.service.hidden_effects.trial import Line
 
 FEW = 3
 """Maximum number of different RMS values for which each one is a group of its own."""

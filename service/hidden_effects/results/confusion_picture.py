@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from models.effects.catalogue import CATALOGUE
-from service.hidden_effects.results.summary import Summary
-from telemetry.errors import UprightError
+from upright.models.effects.catalogue import CATALOGUE
+from upright.service.hidden_effects.results.summary import Summary
+from upright.telemetry.errors import UprightError
 
 CELL = 0.24
 """Size of a cell, inches."""

@@ -15,11 +15,11 @@ from typing import Any
 
 from scipy.stats import binom, binomtest
 
-from service.hidden_effects.cases import Kind
-from service.hidden_effects.methods.answers import ADEQUATE, INSUFFICIENT, MISSING, UNKNOWN
-from service.hidden_effects.results.by_disturbance import thirds
-from service.hidden_effects.results.trials import methods_of
-from service.hidden_effects.trial import DETECTABLE, Line
+from upright.service.hidden_effects.cases import Kind
+from upright.service.hidden_effects.methods.answers import ADEQUATE, INSUFFICIENT, MISSING, UNKNOWN
+from upright.service.hidden_effects.results.by_disturbance import thirds
+from upright.service.hidden_effects.results.trials import methods_of
+from upright.service.hidden_effects.trial import DETECTABLE, Line
 
 SEEN = 2.0
 """Multiple of the minimum detectable effect from which on an effect should be named."""

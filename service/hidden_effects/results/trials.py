@@ -10,9 +10,9 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from service.hidden_effects.cases import Case
-from service.hidden_effects.trial import Bench, Line, beginning
-from telemetry.errors import UprightError
+from upright.service.hidden_effects.cases import Case
+from upright.service.hidden_effects.trial import Bench, Line, beginning
+from upright.telemetry.errors import UprightError
 
 FAILED = "failed"
 """Status of a case that could not be completed; a later run repeats it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import re
 
-from telemetry.errors import RecordingError
+from upright.telemetry.errors import RecordingError
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),

@@ -12,7 +12,7 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.tables.units import is_unit
+from upright.telemetry.tables.units import is_unit
 
 _HOLES_TEXT = (
     "|nan|-nan|+nan|nan(ind)|-nan(ind)|1.#qnan|-1.#qnan|1.#ind|-1.#ind|1.#inf|-1.#inf|na|n/a|#n/a|<na>"

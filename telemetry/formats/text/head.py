@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from telemetry.errors import RecordingError
-from telemetry.formats.text.fields import is_hole, is_number
-from telemetry.formats.text.split import Row, Rows, split_line
-from telemetry.tables.units import is_unit
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.text.fields import is_hole, is_number
+from upright.telemetry.formats.text.split import Row, Rows, split_line
+from upright.telemetry.tables.units import is_unit
 
 COMMENTS = ("#", "%", "//", "!", "*", ";")
 _TYPES_TEXT = "double float int long float32 float64 int32 int64 uint32 string text bool boolean datetime number"

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from telemetry.documents import from_json
-from telemetry.errors import RecordingError
-from telemetry.formats.text.fields import Decimal, decimal_of, is_hole, is_number
+from upright.telemetry.documents import from_json
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.text.fields import Decimal, decimal_of, is_hole, is_number
 
 SAMPLE = 60
 """Lines that are looked at to find the separator: from the second half of a file, where there is no heading."""

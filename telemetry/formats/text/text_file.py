@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from telemetry.formats.text.decoded import decoded
-from telemetry.formats.text.fields import Decimal, numbers
-from telemetry.formats.text.head import counts_up, head_of
-from telemetry.formats.text.split import rows_of
-from telemetry.tables.raw import Column, RawTable
-from telemetry.tables.units import name_and_unit
+from upright.telemetry.formats.text.decoded import decoded
+from upright.telemetry.formats.text.fields import Decimal, numbers
+from upright.telemetry.formats.text.head import counts_up, head_of
+from upright.telemetry.formats.text.split import rows_of
+from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.units import name_and_unit
 
 FEW = 40
 """Distinct texts up to which a column of text may name channels."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Collection
 
-from drivers.bus import BusDown
-from drivers.error_frames import ErrorClass
 from faults.bench import Bench
 from faults.fault import CONTROL_LOST, NOT_FOLLOWED, Fault, Wanted, harmless, stopped
-from service.control.loop import HEARTBEAT, SYNC
-from telemetry.samples import CanFrame
-from vehicles.bounds import Code
+from upright.drivers.bus import BusDown
+from upright.drivers.error_frames import ErrorClass
+from upright.service.control.loop import HEARTBEAT, SYNC
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.bounds import Code
 
 SILENT = (Code.IMU_SILENT, Code.DRIVE_SILENT, Code.DRIVE_EMERGENCY)
 """What a bus that loses frames is stopped for."""

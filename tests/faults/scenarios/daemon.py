@@ -7,7 +7,7 @@ from collections.abc import Callable
 from faults import clues
 from faults.bench import Bench
 from faults.fault import Fault, harmless, in_order, stopped
-from vehicles.bounds import Code
+from upright.vehicles.bounds import Code
 
 
 def held_up(seconds: float) -> Callable[[Bench], None]:

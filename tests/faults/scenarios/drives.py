@@ -24,13 +24,13 @@ from faults.fault import (
     in_order,
     stopped,
 )
-from simulation.bus.drive_node import VirtualDrive
-from simulation.bus.objects import CONTROLWORD, MODE
-from simulation.bus.power_state import PowerState
-from simulation.faults import CURRENT_ERROR, OVERCURRENT
-from simulation.faults import FAULTS as VIRTUAL
-from telemetry.samples import CanFrame
-from vehicles.bounds import Code
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.simulation.bus.objects import CONTROLWORD, MODE
+from upright.simulation.bus.power_state import PowerState
+from upright.simulation.faults import CURRENT_ERROR, OVERCURRENT
+from upright.simulation.faults import FAULTS as VIRTUAL
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.bounds import Code
 
 Choice = Callable[[Bench], list[VirtualDrive]]
 PAIRS = ("monocab", "twsbr")

@@ -7,12 +7,12 @@ import struct
 from collections.abc import Callable
 from math import cos, inf, nan, pi, radians, sin
 
-from drivers.frame_clock import FrameClock
 from faults import clues
 from faults.bench import Bench
 from faults.fault import CONTROL_LOST, LYING_IMU, SILENT_IMU, Fault, Wanted, harmless, in_order, stopped
-from telemetry.samples import CanFrame
-from vehicles.bounds import Code
+from upright.drivers.frame_clock import FrameClock
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.bounds import Code
 
 G = 9.80665
 Change = Callable[[Bench, list[float]], list[float]]

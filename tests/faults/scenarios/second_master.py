@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 from faults.bench import TO_DRIVE, Bench
 from faults.fault import CONTROL_LOST, MONOCAB, NOT_FOLLOWED, STRANGER, Fault, Wanted, harmless, stopped
-from service.control.loop import HEARTBEAT, OPERATIONAL, SYNC
-from simulation.bus.drive_node import VirtualDrive
-from vehicles.bounds import Code
+from upright.service.control.loop import HEARTBEAT, OPERATIONAL, SYNC
+from upright.simulation.bus.drive_node import VirtualDrive
+from upright.vehicles.bounds import Code
 
 ENABLED = 0x7F
 RESET_NODE, STOP_NODE, PRE_OPERATIONAL = 0x81, 0x02, 0x80

@@ -16,15 +16,15 @@ from faults.bench import Bench
 from hypothesis import strategies as st
 from simulated_bus import Harness
 
-from drivers.canopen_link import CanopenLink
-from drivers.cia402 import eds
-from drivers.cia402.setup import Supervision, configure
 from fuzz.target import Refused, Target, Trial
-from service.control import assembly
-from service.control.loop import Mode
-from telemetry.samples import CanFrame
-from vehicles.file import load
-from vehicles.phases import Phase
+from upright.drivers.canopen_link import CanopenLink
+from upright.drivers.cia402 import eds
+from upright.drivers.cia402.setup import Supervision, configure
+from upright.service.control import assembly
+from upright.service.control.loop import Mode
+from upright.telemetry.samples import CanFrame
+from upright.vehicles.file import load
+from upright.vehicles.phases import Phase
 
 # Frames into the control loop
 

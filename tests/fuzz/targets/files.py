@@ -11,21 +11,21 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from drivers.cia402 import eds
 from fuzz.mutation import anything, exchanged, mutated
 from fuzz.target import Target, of_file
 from fuzz.targets.equations import TOWERS
 from fuzz.trial import REPOSITORY
-from models import library, rendering
-from models.file import model_file
-from models.file.own_effects import load_effect
-from service.control import assembly
-from service.control.adopted import History
-from service.control.commissioned import Record
-from service.control.sequence import plan
-from service.offline.design import read_result
-from vehicles import registry
-from vehicles.file import load
+from upright.drivers.cia402 import eds
+from upright.models import library, rendering
+from upright.models.file import model_file
+from upright.models.file.own_effects import load_effect
+from upright.service.control import assembly
+from upright.service.control.adopted import History
+from upright.service.control.commissioned import Record
+from upright.service.control.sequence import plan
+from upright.service.offline.design import read_result
+from upright.vehicles import registry
+from upright.vehicles.file import load
 
 VALUES = (
     *(b"nan", b"inf", b"-inf", b"1e999", b"-1", b"0", b"-0.0", b"0.5", b"1e-320", b"1e308", b"9" * 22, b"9" * 5000),

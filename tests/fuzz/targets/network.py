@@ -23,17 +23,17 @@ from fuzz.mutation import mutated
 from fuzz.target import Refused, Target, Trial
 from fuzz.targets.bus import OpenBench
 from fuzz.targets.recordings import written
-from service.control.commands import Commands
-from service.control.loop import Mode
-from service.control.mqtt_replies import MqttReplies
-from service.control.server import ApiServer
-from service.dashboard.app import Dashboard, Settings
-from service.dashboard.jobs import Job, Jobs
-from service.mqtt.command_inbox import CommandInbox
-from service.mqtt.topics import ARGUMENTS
-from service.turns import Turns
-from service.virtual.run import Witness
-from vehicles.file import load
+from upright.service.control.commands import Commands
+from upright.service.control.loop import Mode
+from upright.service.control.mqtt_replies import MqttReplies
+from upright.service.control.server import ApiServer
+from upright.service.dashboard.app import Dashboard, Settings
+from upright.service.dashboard.jobs import Job, Jobs
+from upright.service.mqtt.command_inbox import CommandInbox
+from upright.service.mqtt.topics import ARGUMENTS
+from upright.service.turns import Turns
+from upright.service.virtual.run import Witness
+from upright.vehicles.file import load
 
 PATIENT = 5.0
 """s of real time for a connection to end after its client has gone."""

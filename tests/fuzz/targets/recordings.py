@@ -31,25 +31,25 @@ from dialects import (
 from golden import FOLDER
 from hypothesis import strategies as st
 
-from estimators.contract import EstimationError
-from estimators.data.segments import segments
-from estimators.identify.table import experiment_of
 from fuzz.mutation import anything, exchanged, mutated
 from fuzz.target import Target, of_file
-from service.dashboard.recordings import Folder
-from service.offline import replay
-from service.virtual.run import ClosedLoop
-from telemetry import storage
-from telemetry.candump import CandumpReader, format_frame
-from telemetry.errors import RecordingError
-from telemetry.recording import Recording
-from telemetry.samples import CanFrame
-from telemetry.tables.mapping import NOTHING, said_of
-from telemetry.tables.wanted import Wanted
-from vehicles import registry
-from vehicles.file import load
-from vehicles.load import load_of
-from vehicles.sections import VehicleFile
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.segments import segments
+from upright.estimators.identify.table import experiment_of
+from upright.service.dashboard.recordings import Folder
+from upright.service.offline import replay
+from upright.service.virtual.run import ClosedLoop
+from upright.telemetry import storage
+from upright.telemetry.candump import CandumpReader, format_frame
+from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame
+from upright.telemetry.tables.mapping import NOTHING, said_of
+from upright.telemetry.tables.wanted import Wanted
+from upright.vehicles import registry
+from upright.vehicles.file import load
+from upright.vehicles.load import load_of
+from upright.vehicles.sections import VehicleFile
 
 SUFFIXES = storage.SUFFIXES
 EXTREMES = (float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 1e308, -1e308, 5e-324, 1.0, -3.0)

@@ -27,11 +27,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import radians
 
-from models.control_design import LqiGains, LqiWeights
-from models.control_robustness import Known
-from vehicles.monocab.control.linear_model import MonocabParameters
-from vehicles.monocab.control.roll_design import RollDesign, design_roll_controller
-from vehicles.monocab.file import MonocabFile
+from upright.models.control_design import LqiGains, LqiWeights
+from upright.models.control_robustness import Known
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.control.roll_design import RollDesign, design_roll_controller
+from upright.vehicles.monocab.file import MonocabFile
 
 WINDUP_TIME = 0.1
 """s, time constant with which back-calculation reduces the integral while the limits hold back the setpoint."""

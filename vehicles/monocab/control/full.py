@@ -28,12 +28,12 @@ from operator import mul
 
 import numpy as np
 
-from models.control_design import ControlDesignError, LqiGains, LqiWeights
-from models.control_robustness import CheckedDesign, Known, Spread, checked_design
-from vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
-from vehicles.monocab.control.linear_model import MonocabParameters, full_model
-from vehicles.monocab.control.roll_design import UNCERTAIN
-from vehicles.monocab.file import MonocabFile
+from upright.models.control_design import ControlDesignError, LqiGains, LqiWeights
+from upright.models.control_robustness import CheckedDesign, Known, Spread, checked_design
+from upright.vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
+from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model
+from upright.vehicles.monocab.control.roll_design import UNCERTAIN
+from upright.vehicles.monocab.file import MonocabFile
 
 TRAVEL = 0.9
 """Share of `limits.trim_position` that the controller uses: at the limit itself the run is stopped. Chosen, not

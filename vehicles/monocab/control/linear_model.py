@@ -23,9 +23,9 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from models.control_design import StateSpace
-from models.gravity import GRAVITY
-from telemetry.errors import UprightError
+from upright.models.control_design import StateSpace
+from upright.models.gravity import GRAVITY
+from upright.telemetry.errors import UprightError
 
 
 class ParameterError(UprightError):

@@ -15,8 +15,8 @@ from __future__ import annotations
 from enum import Enum
 from math import copysign, cos, degrees, pi
 
-from vehicles.monocab.control.controller import RollController
-from vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.control.controller import RollController
+from upright.vehicles.monocab.control.linear_model import MonocabParameters
 
 LIFT_OFF = 0.005
 """rad (0.3 deg) of roll away from rest that count as lifted off."""

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from models.control_design import LqiWeights
-from models.control_robustness import CheckedDesign, Known, Spread, checked_design
-from vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
+from upright.models.control_design import LqiWeights
+from upright.models.control_robustness import CheckedDesign, Known, Spread, checked_design
+from upright.vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")
 """Parameters whose CAD values are uncertain; the angular momentum is known from the flywheels' speed."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 
-from estimators.contract import EstimationError, ParameterEstimate, Status
-from vehicles.monocab.control.linear_model import apparent_inertia
+from upright.estimators.contract import EstimationError, ParameterEstimate, Status
+from upright.vehicles.monocab.control.linear_model import apparent_inertia
 
 UNIT = "kg m^2"
 

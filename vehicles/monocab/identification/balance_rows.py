@@ -29,13 +29,13 @@ from math import isfinite
 
 import numpy as np
 
-from estimators.contract import EstimationError
-from estimators.data.instrument_bank import InstrumentBank
-from estimators.data.state_variable_filter import StateVariableFilter
-from models.gravity import GRAVITY
-from telemetry.channels import ChannelTable
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.estimators.contract import EstimationError
+from upright.estimators.data.instrument_bank import InstrumentBank
+from upright.estimators.data.state_variable_filter import StateVariableFilter
+from upright.models.gravity import GRAVITY
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 REGRESSORS = ("inertia", "gravity_stiffness", "static_torque.torque", "drive_time_offset")
 """The parameters of a row, in the order of its regressors."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-import estimators
-from estimators.contract import Estimate, Estimator, ParameterEstimate
-from estimators.identify.subject import OwnMethods, Prediction, Regression, Subject, Values
-from telemetry.channels import ChannelTable
-from telemetry.errors import UprightError
-from telemetry.recording import Recording
-from vehicles.monocab.identification import torque_balance
-from vehicles.monocab.identification.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
-from vehicles.monocab.model import MODELS
+from upright import estimators
+from upright.estimators.contract import Estimate, Estimator, ParameterEstimate
+from upright.estimators.identify.subject import OwnMethods, Prediction, Regression, Subject, Values
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.errors import UprightError
+from upright.telemetry.recording import Recording
+from upright.vehicles.monocab.identification import torque_balance
+from upright.vehicles.monocab.identification.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
+from upright.vehicles.monocab.model import MODELS
 
 HORIZON = 0.5
 """s, horizon at which a fit is measured."""
@@ -45,7 +45,7 @@ def _regression(
 def _prediction(subject: Subject, recordings: Sequence[Recording]) -> Prediction | None:
     """Roll and roll rate, half a second ahead of the measured state, in closed form: for a shipped model with no more
     than a static torque; None for any other, or if the recordings lack what it needs."""
-    from vehicles.monocab.identification.roll_prediction import free_motion, predict, sensor_noise
+    from upright.vehicles.monocab.identification.roll_prediction import free_motion, predict, sensor_noise
 
     support, model = subject.support, subject.model
     plain = {effect.name for effect in model.effects} <= {"static_torque"}
@@ -73,7 +73,10 @@ def _apparent_inertia(
     vehicle: Mapping[str, tuple[float, float]],
 ) -> dict[str, ParameterEstimate]:
     """The apparent inertia in addition to the mechanical one of the best method: as measured, and by the formula."""
-    from vehicles.monocab.identification.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
+    from upright.vehicles.monocab.identification.apparent_inertia import (
+        apparent_inertia_estimate,
+        measured_apparent_inertia,
+    )
 
     if "inertia" not in best or not {"speed_loop_lag", "roll_reaction"} <= drives.keys():
         return {}

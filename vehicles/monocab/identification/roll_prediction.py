@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from estimators.contract import EstimationError
-from models.gravity import GRAVITY
-from telemetry.recording import Recording
-from vehicles.monocab.identification.balance_rows import FilterConfig
+from upright.estimators.contract import EstimationError
+from upright.models.gravity import GRAVITY
+from upright.telemetry.recording import Recording
+from upright.vehicles.monocab.identification.balance_rows import FilterConfig
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,12 @@ from math import sqrt
 
 import numpy as np
 
-from models.gravity import GRAVITY
-from telemetry.recording import Recording
-from vehicles.commissioning import Number
-from vehicles.monocab.file import MonocabFile
-from vehicles.phases import Phase
-from vehicles.recorded import designed_for
+from upright.models.gravity import GRAVITY
+from upright.telemetry.recording import Recording
+from upright.vehicles.commissioning import Number
+from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.phases import Phase
+from upright.vehicles.recorded import designed_for
 
 PARTS = 8
 """Parts of the record, each several times longer than the correlation of a disturbance."""

@@ -26,12 +26,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution
-from telemetry.channels import ChannelTable
-from telemetry.samples import Frame
-from vehicles.monocab.channels import CHANNELS as MONOCAB
-from vehicles.monocab.identification.balance_rows import REGRESSORS, BalanceRows, FilterConfig
+from upright.estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from upright.estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution
+from upright.telemetry.channels import ChannelTable
+from upright.telemetry.samples import Frame
+from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
+from upright.vehicles.monocab.identification.balance_rows import REGRESSORS, BalanceRows, FilterConfig
 
 UNITS = dict(zip(REGRESSORS, ("kg m^2", "N m/rad", "N m", "s"), strict=True))
 TERMS = dict(

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot, inf
 
-from estimators.methods.prediction_error import prediction_error
-from models.model import Model
-from telemetry.recording import Recording
-from vehicles.commissioning import Number
-from vehicles.monocab.file import MonocabFile
-from vehicles.monocab.model import MONOCAB_ROLL
+from upright.estimators.methods.prediction_error import prediction_error
+from upright.models.model import Model
+from upright.telemetry.recording import Recording
+from upright.vehicles.commissioning import Number
+from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.monocab.model import MONOCAB_ROLL
 
 MASS = "trim_mass"
 

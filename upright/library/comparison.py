@@ -8,9 +8,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upright.inputs import Given, content, gathered
-from upright.layers.recordings import Recorded
-from upright.layers.results import (
+from upright.library.inputs import Given, content, gathered
+from upright.library.layers.recordings import Recorded
+from upright.library.layers.results import (
     Compared,
     EstimationError,
     GreyBox,
@@ -25,15 +25,15 @@ from upright.layers.results import (
     write_comparison,
     write_whole,
 )
-from upright.model import Model
-from upright.shown import as_frame, as_html, as_text, existing
-from upright.threads import one_thread
+from upright.library.model import Model
+from upright.library.shown import as_frame, as_html, as_text, existing
+from upright.library.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas
     from rich.console import Console
 
-    from upright.layers.results import VehicleFile
+    from upright.library.layers.results import VehicleFile
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -8,11 +8,11 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upright.estimates import Value
-from upright.inputs import Given, content, gathered
-from upright.layers.effects import Effect
-from upright.layers.recordings import Recorded
-from upright.layers.results import (
+from upright.library.estimates import Value
+from upright.library.inputs import Given, content, gathered
+from upright.library.layers.effects import Effect
+from upright.library.layers.recordings import Recorded
+from upright.library.layers.results import (
     Candidates,
     Diagnosed,
     EstimationError,
@@ -32,9 +32,9 @@ from upright.layers.results import (
     revised,
     write_whole,
 )
-from upright.model import Model
-from upright.shown import as_frame, as_html, as_text, existing
-from upright.threads import one_thread
+from upright.library.model import Model
+from upright.library.shown import as_frame, as_html, as_text, existing
+from upright.library.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas

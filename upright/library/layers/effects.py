@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family, Role
-from models.parts import Place
-from telemetry.errors import UprightError
+from upright.models.effect import Effect, EffectParameter, EffectState, Family, Role
+from upright.models.parts import Place
+from upright.telemetry.errors import UprightError
 
 __all__ = [
     "Effect",

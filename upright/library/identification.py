@@ -8,10 +8,10 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upright.estimates import Value
-from upright.inputs import Given, content, gathered
-from upright.layers.recordings import Recorded
-from upright.layers.results import (
+from upright.library.estimates import Value
+from upright.library.inputs import Given, content, gathered
+from upright.library.layers.recordings import Recorded
+from upright.library.layers.results import (
     Identified,
     ModelFile,
     Picture,
@@ -24,9 +24,9 @@ from upright.layers.results import (
     provenance,
     write_whole,
 )
-from upright.model import Model
-from upright.shown import as_frame, as_html, as_text, existing
-from upright.threads import one_thread
+from upright.library.model import Model
+from upright.library.shown import as_frame, as_html, as_text, existing
+from upright.library.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas

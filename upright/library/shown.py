@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from upright.layers.effects import UprightError
+from upright.library.layers.effects import UprightError
 
 if TYPE_CHECKING:
     import pandas
     from numpy.typing import NDArray
 
-    from upright.layers.recordings import Recorded
+    from upright.library.layers.recordings import Recorded
 
 NOTEBOOK_WIDTH = 110
 """Characters of a line in a notebook."""

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from upright.layers.recordings import Recorded, RecordingError, describe, read, said_of
-from upright.shown import frame_of
+from upright.library.layers.recordings import Recorded, RecordingError, describe, read, said_of
+from upright.library.shown import frame_of
 
 if TYPE_CHECKING:
     import pandas
 
-    from upright.layers.recordings import Source
-    from upright.layers.results import GreyBox, Picture, VehicleFile
+    from upright.library.layers.recordings import Source
+    from upright.library.layers.results import GreyBox, Picture, VehicleFile
 
 
 FARTHEST = 9e9
@@ -87,7 +87,7 @@ class Recording(Recorded):
 
     def plot(self, *channels: str) -> Picture:
         """The channels over time, by default those that change, as a figure of matplotlib."""
-        from upright.layers.results import recording_figure
+        from upright.library.layers.results import recording_figure
 
         return recording_figure(self, channels)
 
@@ -128,14 +128,14 @@ def load(
 
 
 def _file(vehicle: str | PathLike[str]) -> VehicleFile:
-    from upright.layers.results import load_vehicle
+    from upright.library.layers.results import load_vehicle
 
     return load_vehicle(fspath(vehicle))
 
 
 def _needed(model: str | PathLike[str]) -> tuple[list[GreyBox], dict[str, Source]]:
     """The model of which a table is needed, and its table [columns]."""
-    from upright.layers.results import columns, identified_model
+    from upright.library.layers.results import columns, identified_model
 
     return [identified_model(fspath(model), None)], columns(fspath(model))
 

@@ -8,10 +8,18 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upright.estimates import Value
-from upright.layers.effects import Effect
-from upright.layers.results import ModelFile, load_vehicle, print_model, save, started, with_effect, without_effect
-from upright.shown import as_frame, as_html, as_text
+from upright.library.estimates import Value
+from upright.library.layers.effects import Effect
+from upright.library.layers.results import (
+    ModelFile,
+    load_vehicle,
+    print_model,
+    save,
+    started,
+    with_effect,
+    without_effect,
+)
+from upright.library.shown import as_frame, as_html, as_text
 
 if TYPE_CHECKING:
     import pandas

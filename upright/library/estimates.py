@@ -23,7 +23,7 @@ class Value:
         return cls(entry["value"], entry["std"], entry["unit"], entry.get("reason", ""))
 
     def __str__(self) -> str:
-        from upright.layers.results import with_error
+        from upright.library.layers.results import with_error
 
         if self.value is None:
             return f"not determined: {self.reason}" if self.reason else "not determined"

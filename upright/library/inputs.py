@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from os import PathLike, fspath
 
-from upright.layers.recordings import Recorded
-from upright.layers.results import EstimationError, ModelFile, VehicleFile, load_vehicle, started, vehicle_of, with_age
-from upright.model import Model
+from upright.library.layers.recordings import Recorded
+from upright.library.layers.results import (
+    EstimationError,
+    ModelFile,
+    VehicleFile,
+    load_vehicle,
+    started,
+    vehicle_of,
+    with_age,
+)
+from upright.library.model import Model
 
 Given = str | PathLike[str] | Model
 """A model as a user gives it: its file, its name, or itself."""

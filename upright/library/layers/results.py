@@ -1,0 +1,78 @@
+"""From the layers: vehicle files, and what fits, compares, diagnoses, prints and draws."""
+
+from __future__ import annotations
+
+from upright.estimators.contract import EstimationError
+from upright.estimators.numbers import with_error
+from upright.library.diagnosis.diagnose import Finding as Found
+from upright.library.diagnosis.prediction.compare import Comparison as Compared
+from upright.library.diagnosis.report import Provenance, write_comparison
+from upright.library.diagnosis.report.diagnosis_report import before_and_after
+from upright.library.diagnosis.report.figures.comparison import comparison_figure
+from upright.library.diagnosis.report.figures.drawing import Picture
+from upright.library.diagnosis.report.figures.methods import method_figure
+from upright.library.diagnosis.report.figures.recording import recording_figure
+from upright.library.diagnosis.report.words import headline
+from upright.models.file.document import ModelFile
+from upright.models.model import Model as GreyBox
+from upright.service.offline.compare import compared
+from upright.service.offline.diagnose import Diagnosed, diagnosed, report_paths
+from upright.service.offline.identify import Identified, identified
+from upright.service.offline.machine import name_of, vehicle_of
+from upright.service.offline.model_files import identified as identified_file
+from upright.service.offline.model_files import now, revised, save, started, with_effect, without_effect
+from upright.service.offline.models import Candidates, columns, compared_models, identified_model
+from upright.service.offline.provenance import provenance
+from upright.service.offline.replay import with_age
+from upright.service.pages.compare import print_comparisons
+from upright.service.pages.diagnose import print_diagnosis
+from upright.service.pages.identify import print_methods
+from upright.service.pages.model import print_model
+from upright.service.whole_file import write_whole
+from upright.vehicles.file import load as load_vehicle
+from upright.vehicles.sections import VehicleFile
+
+__all__ = [
+    "Candidates",
+    "Compared",
+    "Diagnosed",
+    "EstimationError",
+    "Found",
+    "GreyBox",
+    "Identified",
+    "ModelFile",
+    "Picture",
+    "Provenance",
+    "VehicleFile",
+    "before_and_after",
+    "columns",
+    "compared",
+    "compared_models",
+    "comparison_figure",
+    "diagnosed",
+    "headline",
+    "identified",
+    "identified_file",
+    "identified_model",
+    "load_vehicle",
+    "method_figure",
+    "name_of",
+    "now",
+    "print_comparisons",
+    "print_diagnosis",
+    "print_methods",
+    "print_model",
+    "provenance",
+    "recording_figure",
+    "report_paths",
+    "revised",
+    "save",
+    "started",
+    "vehicle_of",
+    "with_age",
+    "with_effect",
+    "with_error",
+    "without_effect",
+    "write_comparison",
+    "write_whole",
+]
