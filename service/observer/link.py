@@ -7,6 +7,7 @@ stay synchronised. Numbers are in the machine's own byte order, as both ends are
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import struct
@@ -36,6 +37,27 @@ def pair() -> tuple[socket.socket, socket.socket]:
         end.setblocking(False)
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
     return ends
+
+
+def receive(connection: socket.socket) -> bytes:
+    """The next packet, also of an end that is gone; b"" if there will be none.
+
+    Raises BlockingIOError if there is none yet. Where the other end went without reading all it was sent, the kernel
+    reports that first (ECONNRESET), and after it what that end had sent.
+    """
+    try:
+        return connection.recv(LARGEST)
+    except ConnectionResetError:
+        return connection.recv(LARGEST)
+
+
+async def receive_soon(connection: socket.socket) -> bytes:
+    """As `receive`, waiting for it."""
+    loop = asyncio.get_running_loop()
+    try:
+        return await loop.sock_recv(connection, LARGEST)
+    except ConnectionResetError:
+        return await loop.sock_recv(connection, LARGEST)
 
 
 class FrameCodec:

@@ -146,7 +146,7 @@ class ObserverPipe:
         if not self.is_open:
             return False
         try:
-            packet = self._socket.recv(link.LARGEST)
+            packet = link.receive(self._socket)
         except BlockingIOError:
             return False
         except OSError:

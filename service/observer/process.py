@@ -19,7 +19,6 @@ import os
 import signal
 import socket
 import sys
-import threading
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -70,12 +69,6 @@ PACKETS_A_TURN = 32
 
 RAW_BUSES = ("can0", "can1")
 """Names of in-process buses in a raw log."""
-
-
-def _lower_priority() -> None:
-    """Give this thread the lowest priority, so that it delays neither the control process nor others."""
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
 
 
 class Observer:
@@ -147,14 +140,12 @@ class Observer:
     # Packets from the pipe
 
     async def _read(self) -> None:
-        loop = asyncio.get_running_loop()
         packets = 0
-        with contextlib.suppress(ConnectionResetError):
-            while packet := await loop.sock_recv(self._connection, link.LARGEST):
-                self._handle(packet)
-                packets += 1
-                if packets % PACKETS_A_TURN == 0:
-                    await asyncio.sleep(0)
+        while packet := await link.receive_soon(self._connection):
+            self._handle(packet)
+            packets += 1
+            if packets % PACKETS_A_TURN == 0:
+                await asyncio.sleep(0)
 
     def _handle(self, packet: bytes) -> None:
         match packet[:1]:
@@ -309,10 +300,10 @@ class Observer:
 
     async def _compile(self) -> None:
         """Compile once in a thread, after which estimators are created immediately. The process does not wait for it to
-        exit."""
+        exit. The thread has the priority of this process: one below would keep the interpreter's lock while it waits
+        for a processor, and with it the recorder and MQTT."""
 
         def work() -> LivePrediction | None:
-            _lower_priority()
             self._new_bank().join()
             with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimation works without it
                 return self._new_prediction() if self._mqtt is not None else None
@@ -404,8 +395,7 @@ class Observer:
 
 async def observe(connection: socket.socket) -> None:
     """Serve the control process behind `connection`."""
-    packet = await asyncio.get_running_loop().sock_recv(connection, link.LARGEST)
-    if packet:
+    if packet := await link.receive_soon(connection):
         hello = link.unpack_json(packet)
         log_as(hello["vehicle"])
         observer = Observer(connection, hello)

@@ -358,3 +358,20 @@ def test_packets_are_lossless_and_too_large_messages_are_refused() -> None:
     assert link.unpack_json(link.pack_json(message)) == message
     with pytest.raises(ValueError, match="bytes"):
         link.pack_json({"text": "x" * link.LARGEST})
+
+
+async def test_all_that_an_end_had_sent_arrives_though_it_went_without_reading() -> None:
+    control, observer = link.pair()
+    with observer:
+        observer.send(b"never read")
+        for packet in (b"1", b"2", b"3"):
+            control.send(packet)
+        control.close()
+        received = [await link.receive_soon(observer), link.receive(observer), await link.receive_soon(observer)]
+        assert (received, link.receive(observer)) == ([b"1", b"2", b"3"], b"")
+    control, observer = link.pair()
+    with control:
+        control.send(b"never read")
+        observer.send(b"finished")
+        observer.close()
+        assert (link.receive(control), link.receive(control)) == (b"finished", b"")
