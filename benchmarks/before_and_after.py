@@ -48,7 +48,7 @@ COUNTED = {
     "compile": ("models", "compile_model"),
 }
 """Package and name of the functions that are counted; passes are calls of `Kernel.run`."""
-PACKAGES = ("models", "estimators", "diagnosis")
+PACKAGES = ("models", "estimators", "diagnosis", "service")
 
 
 def main() -> None:
@@ -109,15 +109,18 @@ def show(name: str, found: Mapping[str, dict[str, Any]]) -> None:
 
 
 def counted(vehicle: str, recording: str) -> dict[str, Any]:
-    """One diagnosis on the command line of the build that is imported, with its counts."""
-    app = importlib.import_module("upright.service.cli").app
-    for package in PACKAGES:
+    """One diagnosis on the command line of the build in the current folder, with its counts."""
+    within = "upright." if Path("upright/service").exists() else ""  # builds before the folders were upright's packages
+    app = importlib.import_module(f"{within}service.cli").app
+    for package in [f"{within}{each}" for each in PACKAGES[:-1]]:
         for each in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             importlib.import_module(each.name)
     counts = Counter(dict.fromkeys((*COUNTED, "passes"), 0))
     for key, (package, name) in COUNTED.items():
-        _wrap(package, name, key, counts)
-    kernel = next(m.Kernel for n, m in sys.modules.items() if n.startswith("models.") and n.endswith(".kernel"))
+        _wrap(within, package, name, key, counts)
+    kernel = next(
+        m.Kernel for n, m in sys.modules.items() if n.startswith(f"{within}models.") and n.endswith(".kernel")
+    )
     kernel.run = _counting(kernel.run, "passes", counts)
     text, begun = io.StringIO(), time.process_time()
     with contextlib.redirect_stdout(text):
@@ -135,11 +138,12 @@ def _counting(function: Callable[..., Any], key: str, counts: Counter[str]) -> C
     return called
 
 
-def _wrap(package: str, name: str, key: str, counts: Counter[str]) -> None:
+def _wrap(within: str, package: str, name: str, key: str, counts: Counter[str]) -> None:
     """Count the calls of every function `name` that is defined in `package`, wherever it is imported."""
-    modules = [module for each, module in sys.modules.items() if each.split(".")[0] in (*PACKAGES, "service")]
+    ours = tuple(f"{within}{each}." for each in PACKAGES)
+    modules = [module for each, module in sys.modules.items() if f"{each}.".startswith(ours)]
     defined = {vars(module).get(name) for module in modules}
-    for function in [each for each in defined if callable(each) and each.__module__.split(".")[0] == package]:
+    for function in [each for each in defined if callable(each) and each.__module__.startswith(f"{within}{package}.")]:
         wrapped = _counting(function, key, counts)
         for module in modules:
             for attribute in [one for one, value in vars(module).items() if value is function]:

@@ -34,4 +34,4 @@ METHODS = {
 def __getattr__(name: str) -> Any:
     if name in METHODS:
         return getattr(import_module(METHODS[name]), name)
-    raise AttributeError(f"module 'estimators' has no attribute {name!r}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

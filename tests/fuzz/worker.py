@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fuzz.target import Target
     from fuzz.trial import Session
 
-PACKAGES = ["telemetry", "models", "drivers", "estimators", "simulation", "vehicles", "service", "canopen", "h11"]
+PACKAGES = ["upright", "canopen", "h11"]
 """That Atheris observes."""
 
 

@@ -92,7 +92,7 @@ def test_misspelt_effect_name_is_answered_with_similar_names() -> None:
 
 
 def test_importing_effects_loads_neither_sympy_nor_numba_nor_scipy() -> None:
-    code = "import sys, models.file.own_effects;assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
+    code = "import sys, upright.models.file.own_effects;assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY, timeout=60)
 
 

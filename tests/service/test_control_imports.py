@@ -30,6 +30,6 @@ def test_running_daemon_imports_no_forbidden_module(tmp_path: Path) -> None:
             daemon.send_signal(signal.SIGTERM)
             daemon.wait(30)
     lines = [line for line in log.read_text().splitlines() if line.startswith("import time:")]
-    imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in lines}
-    assert {"drivers", "service", "numpy"} <= imported
-    assert not FORBIDDEN & imported
+    modules = {line.rpartition("|")[2].strip() for line in lines}
+    assert {"upright.drivers", "upright.service", "numpy"} <= modules
+    assert not FORBIDDEN & {each.partition(".")[0] for each in modules}

@@ -394,7 +394,7 @@ def test_kernel_sensitivities_match_central_differences(kernel: Kernel) -> None:
 
 
 def test_model_library_imports_without_sympy_numba_or_scipy() -> None:
-    code = "import sys, models.library; assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
+    code = "import sys, upright.models.library; assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2], timeout=60)
 
 
