@@ -16,8 +16,8 @@ import sympy
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from upright.library.diagnosis.report.figures.drawing import AFTER, MEASURED, styled, svg
 
+from upright.diagnosis.report.figures.drawing import AFTER, MEASURED, styled, svg
 from upright.models.effect import Effect
 from upright.models.expressions import names_in, number, parse
 from upright.models.parts import Place

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from upright.diagnosis.diagnose import Finding as Found
+from upright.diagnosis.prediction.compare import Comparison as Compared
+from upright.diagnosis.report import Provenance, write_comparison
+from upright.diagnosis.report.diagnosis_report import before_and_after
+from upright.diagnosis.report.figures.comparison import comparison_figure
+from upright.diagnosis.report.figures.drawing import Picture
+from upright.diagnosis.report.figures.methods import method_figure
+from upright.diagnosis.report.figures.recording import recording_figure
+from upright.diagnosis.report.words import headline
 from upright.estimators.contract import EstimationError
 from upright.estimators.numbers import with_error
-from upright.library.diagnosis.diagnose import Finding as Found
-from upright.library.diagnosis.prediction.compare import Comparison as Compared
-from upright.library.diagnosis.report import Provenance, write_comparison
-from upright.library.diagnosis.report.diagnosis_report import before_and_after
-from upright.library.diagnosis.report.figures.comparison import comparison_figure
-from upright.library.diagnosis.report.figures.drawing import Picture
-from upright.library.diagnosis.report.figures.methods import method_figure
-from upright.library.diagnosis.report.figures.recording import recording_figure
-from upright.library.diagnosis.report.words import headline
 from upright.models.file.document import ModelFile
 from upright.models.model import Model as GreyBox
 from upright.service.offline.compare import compared
