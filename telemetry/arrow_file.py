@@ -38,7 +38,7 @@ class ArrowStreamWriter:
         self, timestamp_ns: NDArray[np.int64], rows: NDArray[np.float64], metadata: Mapping[str, str] | None = None
     ) -> None:
         """Rows (n, channels) at `timestamp_ns` (n,), with `metadata` of their own."""
-        columns = [pa.array(timestamp_ns), *(pa.array(np.ascontiguousarray(column)) for column in rows.T)]
+        columns = [_column(timestamp_ns), *map(_column, rows.T)]
         batch = pa.record_batch(columns, schema=self._schema)
         self._writer.write_batch(batch, custom_metadata=dict(metadata) if metadata else None)
         self._file.flush()
@@ -75,6 +75,13 @@ def _schema(channels: ChannelTable, metadata: Mapping[str, str]) -> Any:
     return pa.schema(fields, metadata=dict(metadata))
 
 
+def _column(values: NDArray[Any]) -> Any:
+    """`values` (n,) for Arrow, in the same memory. `pa.array` would import pandas first, where that is installed: for a
+    second on a slow computer, in which the recorder takes nothing."""
+    values = np.ascontiguousarray(values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, pa.py_buffer(values)])
+
+
 def _table(recording: Recording) -> Any:
     columns = [recording.timestamp_ns, *(recording.values[name] for name in recording.channels.names)]
-    return pa.table([pa.array(column) for column in columns], schema=_schema(recording.channels, recording.metadata))
+    return pa.table([*map(_column, columns)], schema=_schema(recording.channels, recording.metadata))
