@@ -17,6 +17,7 @@ from typing import Any
 from upright.drivers.bus import Bus, BusDown, BusError, BusGroup
 from upright.drivers.bus_lock import BusLock, lock_buses
 from upright.drivers.canopen_link import CanopenLink
+from upright.drivers.cia402.config import DriveConfig
 from upright.drivers.cia402.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.imu_format import check_format
@@ -267,16 +268,21 @@ class Daemon:
             rpdo_timeout=self.vehicle.setpoint_timeout,
             cycle_period=self.vehicle.period,
         )
-        reports = []
         before = {report.name: report for report in self.reports}
-        for drive in self.loop.io.drives:
-            known = before.get(drive.config.name)
-            report = await asyncio.to_thread(configure, link.network, drive.config, supervision, known)
-            self._send(*command_frame(NmtCommand.START, drive.config.node), 0)
+
+        async def set_up(config: DriveConfig) -> DriveReport:
+            report = await asyncio.to_thread(configure, link.network, config, supervision, before.get(config.name))
+            self._send(*command_frame(NmtCommand.START, config.node), 0)
             for warning in report.warnings:
                 self.observer.event("warning", "drive_set_up", f"{report.name}: {warning}")
-            reports.append(report)
-        self.reports = reports
+            return report
+
+        # Side by side, as a slow drive needs seconds; of those that fail the first one is named, when all have ended.
+        found = await asyncio.gather(*[set_up(drive.config) for drive in self.loop.io.drives], return_exceptions=True)
+        for failure in found:
+            if isinstance(failure, BaseException):
+                raise failure
+        self.reports = [report for report in found if isinstance(report, DriveReport)]
 
     def _settle(self) -> None:
         """Set up this process for its loop, if it has no other work. Refused memory is an event, not a failure."""
