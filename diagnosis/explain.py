@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from upright.diagnosis.prepare.candidates import Candidate
 from upright.diagnosis.score.score_test import Score
 from upright.estimators.contract import ParameterEstimate
-from upright.estimators.numbers import significant
+from upright.estimators.numbers import with_error
 from upright.models.effect import Role
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def explain(finding: Finding, score: Score) -> str:
         sentences.append(str(finding.relevance))
     if finding.held_out is not None:
         gain, std = finding.held_out.gain, finding.held_out.std
-        sentences.append(f"On held-out data the log-likelihood rises by {gain:.3g} ± {std:.2g}.")
+        sentences.append(f"On held-out data the log-likelihood rises by {with_error(gain, std)}.")
     else:
         sentences.append("No part of these data determines it well enough for a check on the rest: record once more.")
     return " ".join(sentences)
@@ -83,15 +83,10 @@ def together(findings: Sequence[Finding]) -> str:
 
 def _sizes(parameters: Mapping[str, ParameterEstimate], prefix: str = "") -> str:
     return ", ".join(
-        f"{name.removeprefix(prefix)} = {_value(each.value, each.std, each.unit)}"
+        f"{name.removeprefix(prefix)} = {with_error(each.value, each.std, each.unit)}"
         for name, each in parameters.items()
         if each.value is not None and each.std is not None
     )
-
-
-def _value(value: float, std: float, unit: str) -> str:
-    decimals = significant(std)
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}" + ("" if unit == "1" else f" {unit}")
 
 
 def _unit(candidate: Candidate, name: str) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
-from upright.estimators.numbers import significant
+from upright.estimators.numbers import common
 from upright.telemetry.errors import UprightError
 from upright.telemetry.samples import Frame
 
@@ -179,8 +179,9 @@ def _cells(name: str, estimate: Estimate) -> tuple[str, str, str, str, str]:
     parameter = estimate.parameters[name]
     if parameter.value is None or parameter.std is None:
         return name, "-", "", parameter.unit, f"{parameter.status.value}: {parameter.reason}"
-    digits = significant(parameter.std)
-    return name, f"{parameter.value:.{digits}f}", f"± {parameter.std:.{digits}f}", parameter.unit, parameter.reason
+    scale = common([(parameter.value, parameter.std)], parameter.unit)
+    value, std = scale.pair(parameter.value, parameter.std)
+    return name, value, f"± {std}" if std else "", scale.unit, parameter.reason
 
 
 def _notes(estimate: Estimate) -> list[str]:

@@ -39,10 +39,10 @@ class NarrowBandEstimate:
         return None if entry is None else cls(unit, *entry.values())
 
     def __str__(self) -> str:
-        """`3.0 ± 0.2 N m RMS about 2.10 ± 0.03 Hz, damping ratio 0.05 ± 0.01`."""
+        """`3.00 ± 0.20 N m RMS about 2.100 ± 0.030 Hz, damping ratio 0.050 ± 0.010`."""
         return (
-            f"{with_error(self.std, self.std_error)} {self.unit} RMS about"
-            f" {with_error(self.frequency, self.frequency_error)} Hz, damping ratio"
+            f"{with_error(self.std, self.std_error, self.unit)} RMS about"
+            f" {with_error(self.frequency, self.frequency_error, 'Hz')}, damping ratio"
             f" {with_error(self.damping, self.damping_error)}"
         )
 
@@ -89,7 +89,7 @@ class DisturbanceEstimate:
         }
 
     def __str__(self) -> str:
-        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, and the narrow-band force, if any."""
+        """`8.10 ± 0.41 N m RMS, correlation time 0.310 ± 0.031 s`, and the narrow-band force, if any."""
         return ", and ".join(map(str, self._acting(self._broad)))
 
     @property
@@ -99,7 +99,7 @@ class DisturbanceEstimate:
 
     @property
     def size(self) -> str:
-        """`8.1 ± 0.4 N m RMS`, and the narrow-band force, if any."""
+        """`8.10 ± 0.41 N m RMS`, and the narrow-band force, if any."""
         return " and ".join(map(str, self._acting(rms(self))))
 
     def _acting(self, broad: str) -> list[str | NarrowBandEstimate]:
@@ -113,15 +113,14 @@ class DisturbanceEstimate:
             return f"none detected; less than {self.std:.2g} {self.unit} RMS"
         if self.known or self.std_error is None or self.correlation_time_error is None:
             return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, not estimated"
-        return (
-            f"{rms(self)}, correlation time {with_error(self.correlation_time or 0.0, self.correlation_time_error)} s"
-        )
+        time = with_error(self.correlation_time or 0.0, self.correlation_time_error, "s")
+        return f"{rms(self)}, correlation time {time}"
 
 
 def rms(found: DisturbanceEstimate) -> str:
-    """`8.1 ± 0.4 N m RMS`."""
-    size = f"{found.std:.3g}" if found.std_error is None else with_error(found.std, found.std_error)
-    return f"{size} {found.unit} RMS"
+    """`8.10 ± 0.41 N m RMS`."""
+    size = f"{found.std:.3g} {found.unit}" if found.std_error is None else None
+    return f"{size or with_error(found.std, found.std_error, found.unit)} RMS"
 
 
 def in_words(found: Sequence[DisturbanceEstimate]) -> str:

@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from upright.estimators.numbers import common, with_error
 from upright.estimators.parting import partings
 
 people = Console(stderr=True, highlight=False)
@@ -45,7 +46,7 @@ def _finite(value: Any) -> Any:
 
 
 def parameter_table(estimates: dict[str, Any], title: str = "") -> Group:
-    """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`, with
+    """Parameters with ± of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`, with
     notes below."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
     # If space is limited, names of methods are wrapped, but numbers are never truncated.
@@ -57,12 +58,12 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Group:
         shown = method
         for name, entry in estimate["parameters"].items():
             value, std = entry.get("value"), entry.get("std")
+            scale = common([(value, std)], entry.get("unit", ""))
             table.add_row(
                 shown,
                 name,
-                "-" if value is None else f"{value:.5g}",
-                "-" if std is None else f"{std:.2g}",
-                entry.get("unit", ""),
+                *scale.pair(value, std),
+                scale.unit,
                 "" if value is None or not std or not value else f"{100 * std / abs(value):.2g} %",
             )
             shown = ""
@@ -94,7 +95,7 @@ def missing_effects(diagnosis: Mapping[str, Any] | None) -> str:
 
 def _one_effect(finding: Mapping[str, Any]) -> str:
     sizes = ", ".join(
-        f"{name.split('.')[-1]} {each['value']:.4g} ± {each['std']:.2g} {each['unit']}".removesuffix(" 1")
+        f"{name.split('.')[-1]} {with_error(each['value'], each['std'], each['unit'])}"
         for name, each in finding["parameters"].items()
     )
     when = f" since {finding['since']:.0f} s" if finding["since"] else ""

@@ -32,6 +32,7 @@ from upright.diagnosis.lack_of_fit.force_bins import Binned, Term, binned_forces
 from upright.diagnosis.lack_of_fit.force_probe import probe
 from upright.diagnosis.lack_of_fit.missing_force import MissingForce, missing_force
 from upright.estimators.data.time_scale import time_scale
+from upright.estimators.numbers import with_error
 from upright.models.compiler.kernel import Progress
 
 Array = NDArray[np.float64]
@@ -231,7 +232,8 @@ def summary(fails: Mapping[str, Sequence[Entry]]) -> list[str]:
     """Where the model fails, in words: a sentence for each view that finds something, the worst place first."""
     sentences = []
     for entry in fails["equation"][:2]:
-        mean = "" if entry["mean"] is None else f", with a mean of {entry['mean']:.3g} ± {entry['mean_std']:.2g}"
+        known = entry["mean"] is not None
+        mean = f", with a mean of {with_error(entry['mean'], entry['mean_std'], entry['unit'])}" if known else ""
         size = f"{entry['rms']:.3g} {entry['unit']} RMS (± {entry['std']:.2g} at any instant)"
         sentences.append(f"The equation of {entry['equation']} lacks a force of {size}{mean}.")
     sentences += _by_coordinate(fails["state"])
@@ -255,7 +257,7 @@ def _by_coordinate(entries: Sequence[Entry]) -> Iterator[str]:
     if ranked:
         entry = next(each for each in entries if each["coordinate"] == ranked[0])
         low, high, unit = shown_range(entry["from"], entry["to"], entry["coordinate_unit"])
-        force = f"{entry['missing_force']:.3g} ± {entry['std']:.2g} {entry['unit']}"
+        force = with_error(entry["missing_force"], entry["std"], entry["unit"])
         yield (
             f"The missing force depends on {ranked[0]}, which explains {shares[ranked[0]]:.0f} % of the excess energy:"
             f" {force} at {entry['joint']} while {ranked[0]} is between {low} and {high} {unit}."

@@ -23,7 +23,7 @@ from upright.diagnosis.live.products import Products
 from upright.diagnosis.prepare.candidates import Candidate
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
 from upright.estimators.fit.problem import Problem
-from upright.estimators.numbers import significant
+from upright.estimators.numbers import with_error
 from upright.estimators.recursive.predictor import Seen
 from upright.models.effect import AttachedEffect, Effect
 from upright.models.effects.catalogue import CATALOGUE, find
@@ -328,9 +328,7 @@ def _explain(
     called: str, effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]
 ) -> str:
     values = ", ".join(
-        f"{name.split('.')[-1]} = {value:.{significant(std)}f} ± {std:.{significant(std)}f}"
-        + ("" if unit == "1" else f" {unit}")
-        for name, (value, std, unit) in sizes.items()
+        f"{name.split('.')[-1]} = {with_error(value, std, unit)}" for name, (value, std, unit) in sizes.items()
     )
     when = f", since {since:.0f} s" if since else ""
     text = f"{called}: {effect.title} ({effect.equation}); {values}{when}."

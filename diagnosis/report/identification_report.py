@@ -19,6 +19,7 @@ from upright.estimators.identify.rows import (
     mean_columns,
     others,
     remarks,
+    scale_of,
     sentence,
     shown_parameters,
     value_text,
@@ -73,10 +74,11 @@ def write_identification(
         figure=_figure(document, truth or {}),
         tables=list(_tables(document, begun, truth or {})),
         drives=[
-            (name, value_text(found), found["unit"])
+            (name, value_text(found, scale), scale.unit)
             for entry in begun.values()
             if entry["domain"] == Domain.DRIVES
             for name, found in entry["parameters"].items()
+            if (scale := scale_of([found], found["unit"]))
         ],
         remarks=list(remarks(document["methods"])),
         part=part,
@@ -97,10 +99,12 @@ def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     if not document["best"]:
         return []
     found = document["methods"][document["best"]]["parameters"]
-    return [
-        (name, value_text(found[name]), "" if unit == "1" else unit, value_text(document["before"].get(name)))
-        for name, unit in shown_parameters({"": {"parameters": found}}).items()
-    ]
+    rows = []
+    for name, unit in shown_parameters({"": {"parameters": found}}).items():
+        before = document["before"].get(name)
+        scale = scale_of([found[name], before], unit)
+        rows.append((name, value_text(found[name], scale), scale.unit, value_text(before, scale)))
+    return rows
 
 
 def _figure(document: Mapping[str, Any], truth: Mapping[str, float]) -> str:

@@ -13,10 +13,9 @@ from upright.diagnosis.prediction.relevance import percent
 from upright.diagnosis.report.figures.drawing import shown
 from upright.diagnosis.report.sentences import two_digits
 from upright.diagnosis.score.score_test import Score, ScoreTest
-from upright.estimators.contract import ParameterEstimate
 from upright.estimators.fit.disturbance import disturbances
 from upright.estimators.methods.prediction_error import result
-from upright.estimators.numbers import significant
+from upright.estimators.numbers import Scale, common, with_error
 from upright.telemetry.recording import Recording
 
 HARD_SPACE = "\N{NO-BREAK SPACE}"
@@ -26,8 +25,6 @@ NOTHING = "nothing"
 LEAST_SHOWN = 5e-4
 """Probability below which an effect is left out of a ranking, except for the first FEWEST."""
 FEWEST = 4
-LARGE = 1000.0
-"""Standard deviation from which on its last digits are left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +171,7 @@ def _row(score: Score, probability: float, group: str, size: str) -> Ranked:
 def _found(finding: Finding, score: Score) -> str:
     """All its parameters, from the fit."""
     found = [
-        f"{_own(name)} ={HARD_SPACE}{value_text(each)}{_unit(each.unit)}"
+        f"{_own(name)} ={HARD_SPACE}{_quantity(each.value, each.std, each.unit)}"
         for name, each in finding.parameters.items()
         if each.value is not None
     ]
@@ -185,8 +182,8 @@ def _by_score(score: Score) -> str:
     """Its first amplitude, from the linearised model."""
     first = score.candidate.amplitudes[0]
     size, error = score.sizes[first], score.standard_errors[first]
-    text = with_std(size, error) if np.isfinite(error) else f"{size:.2g}"
-    return f"{_own(first)} ≈{HARD_SPACE}{text}{_amplitude_unit(score)}"
+    text = _quantity(size, error, _amplitude_unit(score)) if np.isfinite(error) else _roughly(size, score)
+    return f"{_own(first)} ≈{HARD_SPACE}{text}"
 
 
 def detectable(score: Score) -> str:
@@ -194,7 +191,7 @@ def detectable(score: Score) -> str:
     if not np.isfinite(score.detectable):
         return "not detectable in this record"
     first = _own(score.candidate.amplitudes[0])
-    return f"{first} ={HARD_SPACE}{score.detectable:.2g}{_amplitude_unit(score)}"
+    return f"{first} ={HARD_SPACE}{_roughly(score.detectable, score)}"
 
 
 def detectables(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
@@ -214,19 +211,23 @@ def parameters(diagnosis: Diagnosis) -> list[ParameterRow]:
     rows = []
     for name, each in after.items():
         cad, first = known.get(name), before.get(name)
-        text = moved = ""
-        if cad is not None:
-            text = with_std(cad.value, cad.std) if cad.std > 0.0 else f"{cad.value:.5g}"
+        moved = ""
+        shown = {
+            "cad": (None, None) if cad is None else (cad.value, cad.std),
+            "before": (None, None) if first is None else (first.value, first.std),
+            "after": (each.value, each.std),
+        }
+        scale = common(shown.values(), each.unit)
         if cad is not None and cad.std > 0.0:
             values = [one.value for one in ((first, each) if len(diagnosis.steps) > 1 else (each,)) if one is not None]
             moved = " → ".join("?" if value is None else f"{(value - cad.value) / cad.std:+.1f}" for value in values)
         rows.append(
             ParameterRow(
                 name=name,
-                unit="" if each.unit == "1" else each.unit,
-                cad=text,
-                before="" if first is None else value_text(first),
-                after=value_text(each),
+                unit=scale.unit,
+                cad="" if cad is None else _hard(scale.text(*shown["cad"])),
+                before="" if first is None else _determined(scale, *shown["before"]),
+                after=_determined(scale, *shown["after"]),
                 moved=moved,
             )
         )
@@ -243,20 +244,22 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
     return [f"{', '.join(names)}: {reason}" for reason, names in because.items()]
 
 
-def value_text(estimate: ParameterEstimate) -> str:
-    """Value and standard deviation, two digits of the latter."""
-    if estimate.value is None or estimate.std is None:
-        return "not determined"
-    return with_std(estimate.value, estimate.std)
+def _determined(scale: Scale, value: float | None, std: float | None) -> str:
+    return "not determined" if value is None or std is None else _hard(scale.text(value, std))
 
 
-def with_std(value: float, std: float) -> str:
-    """Two digits of the standard deviation, and the value to the same place."""
-    if std >= LARGE:
-        place = 1 - int(np.floor(np.log10(std)))
-        return f"{round(value, place):.0f}{HARD_SPACE}±{round(std, place):.0f}"
-    digits = significant(std)
-    return f"{value:.{digits}f}{HARD_SPACE}±{std:.{digits}f}"
+def _quantity(value: float | None, std: float | None, unit: str) -> str:
+    return "not determined" if value is None or std is None else _hard(with_error(value, std, unit))
+
+
+def _roughly(size: float, score: Score) -> str:
+    """An amplitude of `score` with two digits."""
+    return _hard(with_error(float(f"{size:.2g}"), None, _amplitude_unit(score)))
+
+
+def _hard(text: str) -> str:
+    """`text` without places at which a line may break."""
+    return text.replace(" ", HARD_SPACE)
 
 
 def errors(comparisons: Sequence[Comparison]) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
@@ -303,22 +306,13 @@ def held(diagnosis: Diagnosis) -> Mapping[str, str]:
         return {}
     last = diagnosis.steps[-1]
     free = {p.name for p in last.fit.problem.parameters}
-    return {
-        p.name: f"{p.value:.5g}{_unit(p.unit)}" + (f" ±{p.std:.2g}" if p.std > 0.0 else "")
-        for p in last.model.parameters
-        if p.name not in free
-    }
+    return {p.name: _hard(with_error(p.value, p.std, p.unit)) for p in last.model.parameters if p.name not in free}
 
 
 def _own(name: str) -> str:
     return name.rsplit(".", 1)[-1]
 
 
-def _unit(unit: str) -> str:
-    """`unit` to follow a number, with no line break between them."""
-    return "" if unit == "1" else f"{HARD_SPACE}{unit.replace(' ', HARD_SPACE)}"
-
-
 def _amplitude_unit(score: Score) -> str:
     first = score.candidate.amplitudes[0]
-    return _unit(next(p.unit for p in score.candidate.attached.parameters if p.name == first))
+    return next(p.unit for p in score.candidate.attached.parameters if p.name == first)

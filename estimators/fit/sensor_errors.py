@@ -53,11 +53,11 @@ class SensorError:
         return replace(self, unit=unit, std=factor * self.std, std_error=factor * self.std_error, narrow_band=narrow)
 
     def __str__(self) -> str:
-        """`0.0030 ± 0.0001 rad/s RMS, correlation time 0.050 ± 0.004 s`."""
+        """`3.00 ± 0.10 mrad/s RMS, correlation time 0.0500 ± 0.0040 s`."""
         if self.narrow_band is not None:
             return str(self.narrow_band)
-        time = with_error(self.correlation_time, self.correlation_time_error)
-        return f"{with_error(self.std, self.std_error)} {self.unit} RMS, correlation time {time} s"
+        time = with_error(self.correlation_time, self.correlation_time_error, "s")
+        return f"{with_error(self.std, self.std_error, self.unit)} RMS, correlation time {time}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +80,9 @@ class InputError:
         return replace(self, unit=unit, std=factor * self.std)
 
     def __str__(self) -> str:
-        """`0.0030 N m RMS of white noise, of which 99 ± 1 % does not act`."""
-        idle = with_error(100.0 * self.idle, 100.0 * self.idle_error)
-        return f"{self.std:.2g} {self.unit} RMS of white noise, of which {idle} % does not act"
+        """`0.0030 N m RMS of white noise, of which 99.0 ± 1.1 % does not act`."""
+        idle = with_error(100.0 * self.idle, 100.0 * self.idle_error, "%")
+        return f"{self.std:.2g} {self.unit} RMS of white noise, of which {idle} does not act"
 
 
 def sensor_errors(fitted: Fit) -> tuple[SensorError | InputError, ...]:

@@ -5,12 +5,12 @@ Methods are rows, each group under its name in square brackets; parameters are c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
 from upright.estimators.identify.table import Domain
-from upright.estimators.numbers import significant
+from upright.estimators.numbers import Scale, common
 
 NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
 """Nuisance parameters: estimated so that they do not bias the others, but not properties of the vehicle. They are only
@@ -82,8 +82,8 @@ def _value_columns(
     name: str, unit: str, entries: Sequence[Mapping[str, Any] | None], before: Mapping[str, Any] | None
 ) -> Columns:
     """Value and standard deviation, and the deviation from the prior value in percent, if there is one."""
-    words = name.replace(".", "_").split("_")
-    columns = [[" ".join(dict.fromkeys(words)), unit, *map(value_text, entries)]]
+    words, scale = name.replace(".", "_").split("_"), scale_of(entries, unit)
+    columns = [[" ".join(dict.fromkeys(words)), scale.unit, *(value_text(entry, scale) for entry in entries)]]
     if before is not None:
         values = [entry.get("value") if entry else None for entry in entries]
         changes = ["" if v in (None, before["value"]) else f"{100 * (v / before['value'] - 1):+.1f}" for v in values]
@@ -91,17 +91,14 @@ def _value_columns(
     return columns
 
 
-def value_text(entry: Mapping[str, Any] | None) -> str:
+def scale_of(entries: Iterable[Mapping[str, Any] | None], unit: str) -> Scale:
+    """What values of one parameter have in common: a power of ten, and the unit to which it belongs."""
+    return common([(entry.get("value"), entry.get("std")) for entry in entries if entry], unit)
+
+
+def value_text(entry: Mapping[str, Any] | None, scale: Scale) -> str:
     """Value and standard deviation, "-" if it is not known."""
-    if entry is None:
-        return ""
-    value, std = entry.get("value"), entry.get("std")
-    if value is None:
-        return "-"
-    if std is None:
-        return f"{value:.6g}"
-    digits = significant(std)
-    return f"{value:.{digits}f} ±{std:.{digits}f}"
+    return "" if entry is None else scale.text(entry.get("value"), entry.get("std"))
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -95,12 +95,15 @@ def design(
 def _print(file: VehicleFile, read: Result, found: Designed) -> None:
     from rich.table import Table
 
+    from upright.estimators.numbers import common
+
     page.print(f"Parameters: {read.how}")
     cad, theirs = file.parameters, found.vehicle.parameters
-    table = Table("parameter", "vehicle file", "designed for", "± std", "unit")
+    table = Table("parameter", "vehicle file", "designed for", "±", "unit")
     for name, value in theirs.values.items():
-        unit = getattr(theirs, name).unit
-        table.add_row(name, f"{cad.values[name]:.6g}", f"{value:.6g}", f"{theirs.deviations[name]:.3g}", unit)
+        given, std = cad.values[name], theirs.deviations[name]
+        scale = common([(value, std), (given, None)], getattr(theirs, name).unit)
+        table.add_row(name, scale.text(given), *scale.pair(value, std), scale.unit)
     page.print(table)
     for line in found.words():
         page.print(f"  {line}")

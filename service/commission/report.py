@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from upright.diagnosis.report.page import Provenance, render
+from upright.estimators.numbers import plain
 from upright.vehicles.commissioning import Entry, Steps
 from upright.vehicles.sections import VehicleFile
 
@@ -75,8 +76,8 @@ def _lines(step: Mapping[str, Any]) -> Sequence[Line]:
 
 
 def number_text(value: float | None, std: float | None, unit: str) -> str:
-    """A number for people."""
+    """A number for people, in the unit of its limits."""
     if value is None:
         return "not known"
-    spread = f" ± {std:.2g}" if std is not None else ""
-    return f"{value:.5g}{spread}{'' if unit == '1' else f' {unit}'}"
+    scale = plain(unit)
+    return f"{scale.text(value, std)} {scale.unit}".rstrip()

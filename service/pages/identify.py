@@ -18,6 +18,7 @@ from upright.estimators.identify.rows import (
     mean_columns,
     others,
     remarks,
+    scale_of,
     sentence,
     value_text,
 )
@@ -85,6 +86,7 @@ def _print_drives(name: str, entry: Mapping[str, Any], to: Console) -> None:
     for justify in ("left", "right", "left"):
         table.add_column(justify=justify, no_wrap=True)
     for parameter, estimate in entry["parameters"].items():
-        table.add_row(parameter, value_text(estimate), estimate["unit"])
+        scale = scale_of([estimate], estimate["unit"])
+        table.add_row(parameter, value_text(estimate, scale), scale.unit)
     to.print(f"\nDrives ({name})", style="bold", markup=False)
     to.print(table)

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from upright.estimators.numbers import Scale, common
 from upright.models.model import Model
 from upright.models.parts import Hold, Parameter
 from upright.models.rendering import text
@@ -44,17 +45,11 @@ def print_model(shown: Model, history: Iterable[Mapping[str, Any]], to: Console 
 
 def print_parameters(parameters: Sequence[Parameter], to: Console = page) -> None:
     """Print parameters with bounds, whether they are estimated, and their meaning, beside or below."""
-    rows = [
-        (
-            each.name,
-            f"{each.value:.6g}",
-            f"{each.std:.3g}" if each.std else "",
-            each.unit,
-            _bounds(each),
-            "estimated" if each.estimated else "known",
-        )
-        for each in parameters
-    ]
+    rows = []
+    for each in parameters:
+        scale = common([(each.value, each.std)], each.unit)
+        known = "estimated" if each.estimated else "known"
+        rows.append((each.name, *scale.pair(each.value, each.std), scale.unit, _bounds(each, scale), known))
     headings, meanings = ("value", "±", "unit", "bounds", ""), [each.meaning for each in parameters]
     if to.width >= WIDE:
         rows_with_meaning = [(*row, meaning) for row, meaning in zip(rows, meanings, strict=True)]
@@ -64,8 +59,8 @@ def print_parameters(parameters: Sequence[Parameter], to: Console = page) -> Non
         _print("parameters", ("meaning",), [(e.name, e.meaning) for e in parameters if e.meaning], to)
 
 
-def _bounds(parameter: Parameter) -> str:
-    lower, upper = f"{parameter.lower:.4g}", f"{parameter.upper:.4g}"
+def _bounds(parameter: Parameter, scale: Scale) -> str:
+    lower, upper = (f"{bound / 10.0**scale.power:.4g}" for bound in (parameter.lower, parameter.upper))
     match isinf(parameter.lower), isinf(parameter.upper):
         case True, True:
             return ""

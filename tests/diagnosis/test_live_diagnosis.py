@@ -348,7 +348,7 @@ def test_terminal_shows_the_effect_with_its_onset_value_and_ties() -> None:
         "since": 26.4,
     }
     text = missing_effects({"verdict": "missing_effect", "findings": [finding], "reason": "", "seconds": 30})
-    assert "coulomb_friction since 26 s: torque 31.25 ± 2.2 N m, or asymmetric_friction" in text
+    assert "coulomb_friction since 26 s: torque 31.2 ± 2.2 N m, or asymmetric_friction" in text
     nothing = missing_effects({"verdict": "adequate", "findings": [], "reason": "", "seconds": 30})
     assert nothing == "missing effect: none detected in 30 s"
     early = missing_effects({"verdict": "insufficient_data", "findings": [], "reason": "no [free] motion"})

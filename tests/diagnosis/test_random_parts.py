@@ -157,8 +157,11 @@ NARROW = NarrowBandEstimate("N m", 3.0, 0.2, 2.1, 0.03, 0.05, 0.01)
 @pytest.mark.parametrize(
     ("shown", "said"),
     [
-        (True, "8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s, and 3.0 ± 0.2 N m RMS about 2.10 ± 0.03 Hz"),
-        (False, "3.0 ± 0.2 N m RMS about 2.10 ± 0.03 Hz"),
+        (
+            True,
+            "8.10 ± 0.40 N m RMS, correlation time 0.310 ± 0.030 s, and 3.00 ± 0.20 N m RMS about 2.100 ± 0.030 Hz",
+        ),
+        (False, "3.00 ± 0.20 N m RMS about 2.100 ± 0.030 Hz"),
     ],
 )
 def test_narrow_band_is_reported_beside_the_first_order_disturbance(shown: bool, said: str) -> None:

@@ -29,7 +29,7 @@ from upright.diagnosis.prediction.relevance import percent
 from upright.diagnosis.report import write_report
 from upright.diagnosis.report.figures.diagnosis import staircase
 from upright.diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
-from upright.diagnosis.report.tables import p_text
+from upright.diagnosis.report.tables import HARD_SPACE, detectables, p_text
 from upright.diagnosis.report.words import headline
 from upright.estimators.disturbance_estimate import rms
 from upright.estimators.fit.disturbance import disturbances
@@ -132,8 +132,8 @@ class TestFindings:
 
     def test_parameters_stand_beside_their_cad_values(self) -> None:
         row = page().text.split("known before (CAD)")[1].split("one standard deviation")[0]
-        assert "inertia kg m^2 1450 ±200" in row
-        assert "gravity_stiffness N m/rad 12600 ±1800" in row
+        assert "inertia kg m^2 1450 ± 200" in row
+        assert "gravity_stiffness N m/rad 12600 ± 1800" in row
         assert "coulomb_friction.torque N m" in row
 
     def test_untested_effects_are_listed_with_their_reasons(self) -> None:
@@ -141,9 +141,9 @@ class TestFindings:
         reason = (found().left_out or {})["gyro_bias"].removeprefix("effect gyro_bias: ")
         assert reason
         assert f"gyro_bias {reason}" in rest
-        for name, size in (found().minimum_detectable or {}).items():
-            assert name in rest
-            assert f"{size:.2g}" in rest
+        listed = {name: size.replace(HARD_SPACE, " ") for name, _, size in detectables(found())}
+        assert listed.keys() == (found().minimum_detectable or {}).keys()
+        assert all(name in rest and size in rest for name, size in listed.items())
 
 
 class TestDisturbance:

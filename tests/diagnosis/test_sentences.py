@@ -51,9 +51,9 @@ def test_disturbance_is_unchanged_after_a_round_trip_through_json(each: Disturba
 def test_adequate_model_explains_to_within_noise_and_the_disturbance() -> None:
     assert to_within(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,))) == "to within their noise"
     shaken = Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,))
-    assert to_within(shaken) == "to within their noise and a random disturbance of 8.1 ± 0.4 N m RMS"
+    assert to_within(shaken) == "to within their noise and a random disturbance of 8.10 ± 0.40 N m RMS"
     two = (SHAKEN, DisturbanceEstimate("pitch", "N m", 1.0, 0.1, 0.2, 0.02))
-    assert "8.1 ± 0.4 N m RMS at roll and 1.00 ± 0.10 N m RMS at pitch" in to_within(
+    assert "8.10 ± 0.40 N m RMS at roll and 1.00 ± 0.10 N m RMS at pitch" in to_within(
         Diagnosis(Verdict.ADEQUATE, "", disturbance=two)
     )
 
@@ -71,7 +71,7 @@ def test_disturbance_sentence_gives_an_estimate_or_an_upper_bound() -> None:
     sentence = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,)))
     assert sentence == "Disturbance: none detected; less than 2 N m RMS."
     sentence = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,)))
-    assert sentence == "Disturbance: 8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s; no effect explains it."
+    assert sentence == "Disturbance: 8.10 ± 0.40 N m RMS, correlation time 0.310 ± 0.030 s; no effect explains it."
     assert disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "")) == ""
     assert disturbance_text((STILL,)) == "none detected; less than 2 N m RMS"
 

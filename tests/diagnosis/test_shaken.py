@@ -182,9 +182,9 @@ class TestLikelihood:
 
 
 def test_numbers_are_rounded_to_their_errors() -> None:
-    assert with_error(8.123, 0.4123) == "8.1 ± 0.4"
-    assert with_error(0.3142, 0.0312) == "0.31 ± 0.03"
-    assert with_error(1613.0, 152.0) == "1610 ± 150"
+    assert with_error(8.123, 0.4123) == "8.12 ± 0.41"
+    assert with_error(0.3142, 0.0312) == "0.314 ± 0.031"
+    assert with_error(1613.0, 152.0, "N m") == "1.61 ± 0.15 kN m"
 
 
 class TestCompare:

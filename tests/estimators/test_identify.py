@@ -328,7 +328,7 @@ def test_table_fits_the_terminal(document: dict[str, Any], width: int, capsys: p
     # The joint estimate and the mean of the runs, each in as many tables as needed.
     assert len(rows) == {100: 2, 80: 4}[width]
     assert "±" in rows[0]
-    assert any(line.startswith("CAD") and "1450 ±200" in line for line in lines)
+    assert any(line.startswith("CAD") and "1450 ± 200" in line for line in lines)
     assert any(line.startswith("truth") and "+13.8" in line for line in lines)
     assert "Recommended method: prediction_error" in lines
     assert "no transfer function contains it" in " ".join(" ".join(lines).split())

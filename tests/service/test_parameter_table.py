@@ -28,7 +28,7 @@ def test_no_number_unit_or_name_is_cut(width: int) -> None:
     page.print(parameter_table(ESTIMATES))
     assert isinstance(page.file, io.StringIO)
     output = page.file.getvalue()
-    for text in ("1612.3", "46", "kg m^2", "2.9 %", "-50.1", "40 %", "static_torque.torque", "drive_time_offset"):
+    for text in (" 1612 ", "46", "kg m^2", "2.9 %", " -50 ", "40 %", "static_torque.torque", "drive_time_offset"):
         assert text in output
     assert "…" not in output
     letters = "".join(line[:32].split("  ")[0].strip() for line in output.splitlines() if line and line[0] != " ")

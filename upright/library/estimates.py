@@ -27,8 +27,7 @@ class Value:
 
         if self.value is None:
             return f"not determined: {self.reason}" if self.reason else "not determined"
-        number = with_error(self.value, self.std or 0.0)
-        return number if self.unit in ("", "1") else f"{number} {self.unit}"
+        return with_error(self.value, self.std, self.unit)
 
     def __repr__(self) -> str:
         return f"Value({self})"

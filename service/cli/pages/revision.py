@@ -10,8 +10,8 @@ from rich.text import Text
 from upright.diagnosis.report.revision_words import in_words, odds_text, readable
 from upright.diagnosis.report.sentences import disturbance_text
 from upright.diagnosis.revise.drop_tests import DropTest
-from upright.diagnosis.revise.result import Budget, FittedParameter, Revision
-from upright.estimators.numbers import significant
+from upright.diagnosis.revise.result import Budget, Revision
+from upright.estimators.numbers import common
 from upright.service.output import page
 
 BAR = 60
@@ -96,15 +96,14 @@ def _parameters(revision: Revision) -> Table:
     rows = []
     for name, after in revision.after.parameters.items():
         before, moved = revision.before.parameters.get(name), revision.moved.get(name)
-        cad = ("", "") if moved is None else (f"{moved.cad:.5g}", f"{moved.before:+.1f} → {moved.after:+.1f}")
+        given = None if moved is None else moved.cad
+        known = [(each.value, each.std) for each in (before, after) if each is not None]
+        scale = common([*known, (given, None)], after.unit)
+        cad = ("", "") if moved is None else (scale.text(given), f"{moved.before:+.1f} → {moved.after:+.1f}")
         note = "" if after.status == "ok" else f"{after.status.replace('_', ' ')}"
-        rows.append((name, "" if before is None else _value(before), _value(after), after.unit, *cad, note))
+        first = "" if before is None else scale.text(before.value, before.std)
+        rows.append((name, first, scale.text(after.value, after.std), scale.unit, *cad, note))
     return _table(("parameter", "before", "after", "unit", "CAD", "std\nfrom CAD", ""), rows)
-
-
-def _value(parameter: FittedParameter) -> str:
-    digits = significant(parameter.std)
-    return f"{parameter.value:.{digits}f} ±{parameter.std:.{digits}f}"
 
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 from upright.estimators.contract import EstimationError, ParameterEstimate, Status
+from upright.estimators.numbers import with_error
 from upright.vehicles.monocab.control.linear_model import apparent_inertia
 
 UNIT = "kg m^2"
@@ -35,7 +36,7 @@ def apparent_inertia_estimate(
     for name, (value, std) in (("angular_momentum", angular_momentum), ("gimbal_inertia", gimbal_inertia)):
         if not (0.0 < value < math.inf and 0.0 <= std < math.inf):
             remedy = "give it in [parameters] of the vehicle file."
-            raise EstimationError(f"parameter {name}", f"cannot be {value:g} ± {std:g}", remedy=remedy)
+            raise EstimationError(f"parameter {name}", f"cannot be {with_error(value, std)}", remedy=remedy)
     if inertia.value is None or inertia.std is None:
         return _unknown("inertia", inertia)
     if lag.value is None or lag.std is None:
