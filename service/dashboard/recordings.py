@@ -1,6 +1,7 @@
-"""The recordings in a folder, for the dashboard. Names from outside are only looked up among the existing ones.
+"""The recordings in a folder, of every format that is read, for the dashboard.
 
-Symbolic links in the folder are not followed: with one, any file that the server may read would be served.
+Names from outside are only looked up among the existing ones. Symbolic links in the folder are not followed: with one,
+any file that the server may read would be served.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 
 from upright.telemetry.documents import from_json
 from upright.telemetry.errors import RecordingError, UprightError
+from upright.telemetry.formats.files import SUFFIXES
 from upright.telemetry.storage import load
 
-SUFFIXES = (".arrow", ".parquet", ".csv")
 MOST_LISTED = 500
 MOST_POINTS = 4000
 
@@ -34,7 +35,7 @@ class Folder:
         """The names, newest first, since they begin with the time."""
         if not self.path.is_dir():
             return []
-        found = [each.name for each in self.path.iterdir() if each.suffix in SUFFIXES and own_file(each)]
+        found = [each.name for each in self.path.iterdir() if each.suffix.lower() in SUFFIXES and own_file(each)]
         return sorted(found, reverse=True)[:MOST_LISTED]
 
     def find(self, name: str) -> Path:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 import typer
 from served import TOKEN, served
@@ -21,6 +22,10 @@ from upright.service.cli import dashboard as command
 from upright.service.dashboard import guard
 from upright.service.dashboard.app import Dashboard, Settings
 from upright.service.dashboard.recordings import Folder, UnknownRecording
+from upright.service.offline.export import export
+from upright.telemetry.channels import Channel, ChannelTable
+from upright.telemetry.recording import Recording
+from upright.telemetry.storage import save
 from upright.vehicles.file import load
 
 PASSWORD = "a-password-of-the-broker"
@@ -207,6 +212,23 @@ def test_links_in_the_folder_are_not_followed(address: str, data: Path, tmp_path
     for what in ("log", "estimates"):
         assert ask(address, "GET", f"/api/recordings/good.csv/{what}")[0] == 404
     assert ask(address, "GET", "/api/recordings/good.csv/recording")[0] == 200
+
+
+def test_recordings_of_every_format_are_listed_and_opened(tmp_path: Path) -> None:
+    """As the readers know them, whatever the case of the suffix; other files of the folder are left out."""
+    column = np.linspace(0.0, 0.1, 5)
+    channels = ChannelTable((Channel("roll", "rad", "of the body"),))
+    recording = Recording(channels, np.arange(5) * 10_000_000, {"roll": column})
+    save(recording, tmp_path / "run.arrow")
+    export(recording, tmp_path / "run.mat")
+    (tmp_path / "RUN.CSV").write_bytes(b"time;roll\n0,00;0,00\n0,01;0,01\n0,02;0,03\n")
+    for other in ("run.log", "run.png", "run.estimates.json", "notes.md"):
+        (tmp_path / other).touch()
+    folder = Folder(tmp_path)
+    assert {each["name"] for each in folder.list()} == {"run.arrow", "run.mat", "RUN.CSV"}
+    for name, expected in (("run.arrow", column), ("run.mat", column), ("RUN.CSV", [0.0, 0.01, 0.03])):
+        assert folder.open(name, 100)["channels"]["roll"]["values"] == pytest.approx(expected)
+        assert folder.download(name, "recording") == tmp_path / name
 
 
 @pytest.fixture
