@@ -99,6 +99,26 @@ class Health(Message):
     """The limit of which most is used while an experiment runs."""
 
 
+class Force(Message):
+    values: list[float]
+    """In each part of the segment."""
+    std: list[float]
+    unit: str
+
+
+class Gap(Message):
+    """What the model lacks: element i belongs to the part of the segment whose middle is `t0 + i * dt`."""
+
+    t0: float
+    dt: float
+    error: dict[str, list[float]]
+    """RMS of the innovations, by channel."""
+    floor: dict[str, float]
+    """The RMS that they have from noise alone."""
+    missing_force: dict[str, Force]
+    """The force that explains the innovations best, by joint."""
+
+
 class Prediction(Message):
     """The model's prediction from the measured state at `t0` on, and its one-step prediction errors."""
 
@@ -107,7 +127,8 @@ class Prediction(Message):
     values: dict[str, list[Number]]
     """Simulation from `t0` on without correction, by channel."""
     innovations: dict[str, list[Number]]
-    """Measurement minus one-step prediction, by channel."""
+    """Measurement minus one-step prediction, by channel; empty if the model has no stable predictor."""
+    gap: Gap | None = None
 
 
 class Telemetry(BaseModel):

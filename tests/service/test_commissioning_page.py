@@ -380,7 +380,7 @@ def test_step_runs_its_experiment_and_shows_what_is_wrong(
     scale = card.get_by_role("row").filter(has_text="Integrated rate")
     expect(scale).to_contain_text("-1.0123 ± 0.0034 ✗ outside")
     expect(card.get_by_role("row").filter(has_text="Acceleration at rest")).to_contain_text(
-        "9.8123 ± 0.002 m/s² ✓ within"
+        "9.8123 ± 0.0020 m/s² ✓ within"
     )
     expect(card.locator(".remedies")).to_contain_text("Correct imu.axes")
     expect(card.locator(".remedies")).not_to_contain_text("acceleration_sign")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import signal
 from collections.abc import Iterator
@@ -177,7 +178,7 @@ def test_every_chart_is_drawn_when_printing(
     page.emulate_media(color_scheme=look)
     canvases = page.locator("#view-live canvas")
     expect(canvases).not_to_have_count(0)
-    page.evaluate(PRINTED)
+    page.evaluate(PRINTED.replace("COLOURED", COLOURED))
     page.wait_for_timeout(300)
     before, last = canvases.count(), page.locator("#view-live .chart:last-child canvas")
     expect(last).to_have_count(0)
@@ -196,20 +197,44 @@ def test_every_chart_is_drawn_when_printing(
 
 
 PRINTED = """() => matchMedia("print").addEventListener("change", ({ matches }) => {
+  const coloured = COLOURED;
   if (matches) window.printed = [...document.querySelectorAll("#view-live .chart")].map((chart) => {
     const canvas = chart.querySelector("canvas");
-    const pixels = canvas ? canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data : [];
-    let coloured = 0, darkest = 255;
-    for (let each = 0; each < pixels.length; each += 4) {
-      const [red, green, blue, opaque] = pixels.slice(each, each + 4);
-      const most = Math.max(red, green, blue);
-      if (opaque > 200 && most - Math.min(red, green, blue) > 60) coloured += 1;
-      else if (opaque > 200) darkest = Math.min(darkest, most);
-    }
-    return [chart.querySelector("figcaption").innerText, coloured, darkest];
+    return [chart.querySelector("figcaption").innerText, ...(canvas ? coloured(canvas) : [0, 255])];
   });
 }, { once: true })"""
 """For each printed chart: its title, the number of pixels in a curve's colour, and the darkest grey."""
+
+
+def test_error_over_the_floor_and_the_missing_torque_are_drawn_while_an_experiment_runs(
+    experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched, screenshots: Path
+) -> None:
+    """With the friction hidden the model lacks a torque; the strips keep the last minute of the experiment."""
+    page = watched.page
+    watched.show("gap")
+    error, missing = page.locator("[data-error=roll_rate]"), page.locator("[data-missing=roll]")
+    expect(error.locator("figcaption")).to_contain_text("× noise floor")
+    expect(missing.locator("figcaption")).to_have_text(re.compile(r"Missing torque at roll: -?[0-9.]+ ± [0-9.]+ N m$"))
+    for figure in (error, missing):
+        assert float(figure.locator("output").get_attribute("data-si") or "nan") != 0.0
+        coloured, _ = figure.locator("canvas").evaluate(COLOURED)
+        assert coloured > 100, "it has no curve"
+    watched.picture(screenshots / "gap-strips-light.png")
+    assert watched.errors == []
+
+
+COLOURED = """(canvas) => {
+  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  let coloured = 0, darkest = 255;
+  for (let each = 0; each < pixels.length; each += 4) {
+    const [red, green, blue, opaque] = pixels.slice(each, each + 4);
+    const most = Math.max(red, green, blue);
+    if (opaque > 200 && most - Math.min(red, green, blue) > 60) coloured += 1;
+    else if (opaque > 200) darkest = Math.min(darkest, most);
+  }
+  return [coloured, darkest];
+}"""
+"""Number of pixels of a canvas in a curve's colour, and the darkest grey."""
 
 
 def test_adding_the_missing_effect_at_least_halves_the_error(
@@ -535,7 +560,7 @@ def test_methods_are_compared_side_by_side(asked: None, watched: Watched) -> Non
     for method in METHODS:
         row = inertia.get_by_role("row").filter(has=watched.page.get_by_role("rowheader", name=method, exact=True))
         # Without the friction, a model of the roll motion has a wrong inertia, but not an arbitrary one.
-        assert float(row.locator("td").first.inner_text()) == pytest.approx(1650.0, rel=0.1)
+        assert float(row.locator("output").get_attribute("data-si") or "nan") == pytest.approx(1650.0, rel=0.1)
 
 
 def test_report_is_written_for_the_recording(report: str, watched: Watched) -> None:

@@ -57,7 +57,7 @@ function line(plot, place, factor) {
       pen = false;
       continue;
     }
-    const right = Math.round(left + (x[row] - from) * across) + sharp, down = Math.round(base - y[row] * up) + sharp;
+    const right = Math.round(left + (x[row] - from) * across) + sharp, down = Math.round(Math.min(Math.max(base - y[row] * up, top), top + height)) + sharp;
     if (pen && right === column) {
       least = Math.min(least, down);
       most = Math.max(most, down);
@@ -81,16 +81,16 @@ function line(plot, place, factor) {
   ctx.stroke();
 }
 
-// The range of such columns. It is kept while they are within it and fill half of it: axes that move with every sample are
-// hard to read, and need a new layout each time.
-function extent(factor) {
+// The range of such columns, or of the `latest` share of them. It is kept while they are within it and fill half of it: axes
+// that move with every sample are hard to read, and need a new layout each time.
+function extent(factor, latest) {
   let kept = [NaN, NaN];
   return (plot) => {
     let low = Infinity, high = -Infinity;
     for (let place = 1; place < plot.data.length; place += 1) {
       if (!plot.series[place].show) continue;
       const column = plot.data[place];
-      for (let row = 0; row < column.length; row += 1) {
+      for (let row = Math.floor((1 - latest) * column.length); row < column.length; row += 1) {
         if (column[row] < low) low = column[row];
         if (column[row] > high) high = column[row];
       }
@@ -104,8 +104,8 @@ function extent(factor) {
 
 // Further options of a chart of such columns.
 const STEP = 10; // s, step of the displayed time range
-export const columns = (factor) => ({
-  scales: { x: { time: false, range: (_, low) => [Math.max(-WINDOW, Math.min(-STEP, STEP * Math.floor(low / STEP))), 0] }, y: { range: extent(factor) } },
+export const columns = (factor, latest = 1) => ({
+  scales: { x: { time: false, range: (_, low) => [Math.max(-WINDOW, Math.min(-STEP, STEP * Math.floor(low / STEP))), 0] }, y: { range: extent(factor, latest) } },
   hooks: { draw: [(plot) => curves(plot, factor)] },
   paths: () => null,
 });

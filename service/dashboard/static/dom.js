@@ -27,16 +27,6 @@ export function text(element, value) {
   if (element.textContent !== wanted) element.textContent = wanted;
 }
 
-// A number in readable form, or a dash if it is not a number.
-export function number(value, digits = 4) {
-  if (typeof value !== "number" || !Number.isFinite(value)) return "–";
-  if (value !== 0 && (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-3)) return value.toExponential(Math.max(0, digits - 2));
-  return String(Number(value.toPrecision(digits)));
-}
-
-// A unit with superscripts.
-export const unit = (words) => String(words ?? "").replace(/\^(-?[0-9])/g, (_, power) => power.replace("-", "⁻").replace(/[0-9]/, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]));
-
 export function seconds(value) {
   return typeof value === "number" && Number.isFinite(value) ? `${Math.max(0, Math.round(value))} s` : "–";
 }

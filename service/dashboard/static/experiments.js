@@ -1,6 +1,7 @@
 // All experiments: start one and hold its lease; its progress, the limits, and its result.
 
-import { h, fill, number, seconds, text } from "./dom.js";
+import { h, fill, seconds, text } from "./dom.js";
+import { number } from "./numbers.js";
 
 // The parameters of an experiment as text; `unit` is that of its amplitude.
 const WORDS = {

@@ -1,9 +1,12 @@
-// Gap: where the model fails, the missing torque by each coordinate, the effects that explain it, and the result of adding one.
+// Gap: what the model lacks, live and on a recording: its error over the noise floor, the missing torque over time and by each
+// coordinate, the effects that explain it, and the result of adding one.
 
-import { h, fill, number, table, unit } from "./dom.js";
+import { h, fill, table } from "./dom.js";
 import { Chart } from "./charts.js";
 import { disturbanceText, disturbances, relevance } from "./disturbance.js";
 import { ask, picker, run } from "./jobs.js";
+import { number, plusMinus } from "./numbers.js";
+import { Strips } from "./strips.js";
 
 const percent = (value) => (typeof value === "number" ? `${number(value, 3)} %` : "–");
 const sentence = (words) => `${String(words ?? "").slice(0, 1).toUpperCase()}${String(words ?? "").slice(1)}`;
@@ -14,6 +17,8 @@ export class Gap {
     this.app = app;
     this.picker = picker("Recording", "gap-recording");
     this.live = h("div", { id: "gap-live" }, h("p", { class: "quiet" }, "No result yet: effects are diagnosed while an experiment runs."));
+    this.over = h("div", { class: "charts", id: "gap-strips" });
+    this.strips = new Strips(this.over, app);
     this.busy = h("div");
     this.where = h("div", { id: "gap-where" });
     this.ranked = h("div", { id: "gap-ranked" });
@@ -22,7 +27,7 @@ export class Gap {
     this.charts = [];
     this.effects = [];
     fill(place,
-      h("h2", {}, "While it runs"), this.live,
+      h("h2", {}, "While it runs"), this.live, this.over,
       h("h2", {}, "On a recording"),
       h("p", { class: "row" }, this.picker.element,
         h("button", { class: "primary", id: "gap-compare", onclick: () => this.compare() }, "Where does it fail?"),
@@ -39,9 +44,13 @@ export class Gap {
     this.latest = message;
   }
 
+  telemetry(message) {
+    for (const { gap } of message.predictions ?? []) if (gap) this.strips.add(gap);
+  }
+
   draw() {
     if (this.latest) this.rank(this.live, this.latest, false);
-    for (const chart of this.charts) chart.draw();
+    this.strips.draw();
   }
 
   rank(place, diagnosis, whole) {
@@ -54,7 +63,7 @@ export class Gap {
       unknown: diagnosis.findings.length ? "The effects found do not explain all that is missing." : "Something is missing that no known effect explains.", insufficient_data: "The data are not sufficient yet." }[diagnosis.verdict] ?? "";
     const row = (each, place) => {
       const sizes = Object.entries(each.parameters ?? {}).map(([name, entry]) =>
-        `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : unit(entry.unit)}`).join(", ");
+        `${name.split(".").pop()} ${plusMinus(entry.value, entry.std, entry.unit)}`).join(", ");
       const add = this.effects.includes(each.effect) ? "added" : EFFECT.test(each.effect) ? h("button", { class: "primary", "data-add": each.effect, onclick: () => this.add(each.effect) }, "Add") : null;
       return [`${place + 1}. ${each.effect}`, sizes, typeof each.since === "number" && each.since ? `since ${number(each.since, 4)} s` : "",
         typeof each.probability === "number" ? percent(100 * each.probability) : "–", percent(each.held_out_error_closed_percent), relevance(each),

@@ -1,9 +1,10 @@
 // Identify: the live estimates of the parameters by method, where the methods part, and all methods side by side for a recording.
 
-import { h, fill, number, table, unit } from "./dom.js";
+import { h, fill, table } from "./dom.js";
 import { Chart, colour } from "./charts.js";
 import { disturbances } from "./disturbance.js";
 import { picker, run } from "./jobs.js";
+import { pair, plusMinus, scale, unit } from "./numbers.js";
 
 const BAND = 1.96; // standard deviations of a 95 % band
 const LIVE_BAND = 2; // standard deviations of a live band: the number by which methods part
@@ -122,9 +123,9 @@ export class Identify {
     if (this.dirty) return;
     this.drawn = performance.now();
     if (this.latest) {
-      fill(this.now, table(["Parameter", "Value", "±", "Unit", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => [
-        name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, number(entry.value, 5)), number(entry.std, 2), unit(entry.unit),
-        number(this.app.config.parameters[name]?.value, 5), String(entry.method ?? ""), String(entry.status ?? ""), String(entry.reason ?? "")])));
+      fill(this.now, table(["Parameter", "Value", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => [
+        name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, plusMinus(entry.value, entry.std, entry.unit)), this.cad(name, entry.unit),
+        String(entry.method ?? ""), String(entry.status ?? ""), String(entry.reason ?? "")])));
     }
     if (this.parts) fill(this.parting, this.words());
     for (const { chart, data, figure } of this.tracks.values()) {
@@ -132,6 +133,11 @@ export class Identify {
       figure.hidden = !data[0].length; // a single retained value is not a curve
       if (data[0].length) chart.set([data[0].map((time) => time - first), ...data.slice(1)]);
     }
+  }
+
+  cad(name, its) {
+    const given = this.app.config.parameters[name];
+    return given ? plusMinus(given.value, given.std, its) : "–";
   }
 
   // Where the methods part, in the sentences of the service.
@@ -173,9 +179,10 @@ export class Identify {
     const most = Math.max(0.3 * Math.abs(middle), 4 * band) || Infinity;
     const reach = Math.max(1e-12, 1.05 * Math.min(Math.max(...ends.map((end) => Math.abs(end - middle)), 0), most));
     const place = (value) => Math.min(100, Math.max(0, 50 + 50 * (value - middle) / reach));
-    const its = unit(known[0]?.[1].unit);
+    const common = scale(rows.map(([, entry]) => [entry.value, entry.std]), rows[0]?.[1].unit);
     return table(["Method", "Value", "±", ""], rows.map(([method, entry, each]) => {
-      const bar = h("div", { class: "interval", role: "img", "aria-label": `${number(entry.value, 5)} ± ${number(entry.std, 2)}` });
+      const [value, std] = pair(common, entry.value, entry.std);
+      const bar = h("div", { class: "interval", role: "img", "aria-label": `${value} ± ${std}` });
       if (typeof entry.value === "number") {
         const low = place(entry.value - BAND * (entry.std ?? 0)), high = place(entry.value + BAND * (entry.std ?? 0));
         const line = h("i"), dot = h("b");
@@ -184,7 +191,7 @@ export class Identify {
         dot.style.left = `${place(entry.value)}%`;
         bar.append(line, dot);
       }
-      return [method, number(entry.value, 5), number(entry.std, 2), entry.value === null || entry.value === undefined ? String(each.reason || entry.reason || "") : bar];
-    }), `${parameter}${its ? `, ${its}` : ""}`);
+      return [method, h("output", { "data-si": String(entry.value) }, value), std, entry.value === null || entry.value === undefined ? String(each.reason || entry.reason || "") : bar];
+    }), `${parameter}${common.unit ? `, ${common.unit}` : ""}`);
   }
 }

@@ -51,7 +51,15 @@ function isTelemetry(message) {
   const predictions = message.predictions ?? [];
   return rows > 0 && Array.isArray(predictions) && predictions.every((each) =>
     isObject(each) && isNumber(each.t0) && isNumber(each.dt) && isObject(each.values) && isObject(each.innovations) &&
-    [...Object.values(each.values), ...Object.values(each.innovations)].every(Array.isArray));
+    [...Object.values(each.values), ...Object.values(each.innovations)].every(Array.isArray) && (each.gap === undefined || isGap(each.gap)));
+}
+
+const areNumbers = (list) => Array.isArray(list) && list.length > 0 && list.length <= 1000 && list.every(isNumber);
+
+function isGap(gap) {
+  return isObject(gap) && isNumber(gap.t0) && isNumber(gap.dt) && gap.dt > 0 && isObject(gap.error) && isObject(gap.floor) && isObject(gap.missing_force) &&
+    Object.entries(gap.error).every(([channel, list]) => areNumbers(list) && isNumber(gap.floor[channel])) &&
+    Object.values(gap.missing_force).every((each) => isObject(each) && areNumbers(each.values) && areNumbers(each.std) && isText(each.unit));
 }
 
 // The time of the last sample of a batch.

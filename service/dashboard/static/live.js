@@ -1,8 +1,9 @@
 // Live: the motion of the vehicle, and the model's prediction.
 
-import { h, fill, number, text } from "./dom.js";
+import { h, fill, text } from "./dom.js";
 import { Chart, columns } from "./charts.js";
 import { Rolling } from "./rolling.js";
+import { number } from "./numbers.js";
 
 const READABLE = 200; // ms, refresh period of a figure: each change needs a new layout of the page
 

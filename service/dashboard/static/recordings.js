@@ -1,8 +1,9 @@
 // Recordings: a list; an overlay of one or two of them, their metadata, the files, and the report.
 
-import { h, fill, number, table, unit } from "./dom.js";
+import { h, fill, table } from "./dom.js";
 import { Chart, turned } from "./charts.js";
 import { ask, run } from "./jobs.js";
+import { number, plusMinus } from "./numbers.js";
 
 const WRITTEN = 3000; // ms after an experiment until its estimates are written
 const PARTS = { recording: "recording", log: "raw log", estimates: "estimates" };
@@ -65,10 +66,10 @@ export class Recordings {
   facts(each) {
     const methods = Object.entries(each.estimates?.methods ?? {});
     const rows = methods.flatMap(([method, found]) => Object.entries(found.parameters ?? {}).map(([name, entry]) =>
-      [method, name, number(entry.value, 5), number(entry.std, 2), unit(entry.unit)]));
+      [method, name, plusMinus(entry.value, entry.std, entry.unit)]));
     return h("section", { class: "card wide" }, h("h3", {}, each.name),
       h("p", {}, `${number(each.seconds, 4)} s, ${each.rows} samples. Experiment ${each.metadata.experiment ?? "–"}, ended: ${each.metadata.end_reason || "as planned"}. ${each.truncated}`),
-      rows.length ? h("details", {}, h("summary", {}, "Live estimates"), table(["Method", "Parameter", "Value", "±", "Unit"], rows)) : null);
+      rows.length ? h("details", {}, h("summary", {}, "Live estimates"), table(["Method", "Parameter", "Value"], rows)) : null);
   }
 
   figure(chart, curve) {

@@ -1,6 +1,7 @@
 // A step of the commissioning: what it is for, its limits, and what was found. All of it is text from messages.
 
-import { h, number, table, unit } from "./dom.js";
+import { h, table } from "./dom.js";
+import { plain, unit } from "./numbers.js";
 
 const BADGES = {
   open: ["open", ""], waiting: ["waiting", ""], accepted: ["✓ accepted", "good"],
@@ -14,8 +15,7 @@ export function badge(step, active = false) {
   return h("span", { class: "badge", "data-kind": kind, "data-state": step.state }, words);
 }
 
-const quantity = ({ value, std, unit: its }) =>
-  `${number(value, 5)}${typeof std === "number" ? ` ± ${number(std, 2)}` : ""}${its && its !== "1" ? `\u00a0${unit(its)}` : ""}`;
+const quantity = ({ value, std, unit: its }) => plain(value, std, its);
 
 // What was measured, and whether it is within its limits, in words and not only by colour.
 function measured(each) {
