@@ -1,14 +1,15 @@
-"""The verdict in one line and what to do next, in one sentence."""
+"""The verdict in one line, all that matters in one sentence, and what to do next in another."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
 from upright.diagnosis.explain import explained_by_none
 from upright.diagnosis.report.sentences import NOTHING_MATTERS, mattering, to_within
+from upright.estimators.numbers import with_error
 from upright.models.effect import Effect
 
 
@@ -33,6 +34,40 @@ def headline(diagnosis: Diagnosis) -> Headline:
         _line(diagnosis),
         next_step(diagnosis),
     )
+
+
+def gist(diagnosis: Diagnosis) -> str:
+    """The one sentence that matters: which effects the model lacks, their sizes, and how its error falls with them."""
+    matter = mattering(diagnosis)
+    if not matter:
+        text = headline(diagnosis).text
+        return f"{text[:1].upper()}{text[1:]}."
+    fall = list(_falls(diagnosis, matter))
+    those = "it" if len(matter) == 1 else "them"
+    sentence = f"The model lacks {_listed([_sized(finding) for finding in matter])}"
+    return f"{sentence}: with {those}, {' and '.join(fall)}." if fall else f"{sentence}."
+
+
+def _sized(finding: Finding) -> str:
+    """`viscous_friction (coefficient = 399 ± 13 N m s/rad)`, without a size that the recordings do not determine."""
+    assert finding.score_test is not None
+    candidate = finding.score_test.score(finding.effect).candidate
+    known = [finding.parameters[name] for name in candidate.amplitudes[:1] if name in finding.parameters]
+    sizes = [
+        f" ({candidate.amplitudes[0].rsplit('.', 1)[-1]} = {with_error(each.value, each.std, each.unit)})"
+        for each in known
+        if each.value is not None
+    ]
+    return f"{_named(finding)}{''.join(sizes)}"
+
+
+def _falls(diagnosis: Diagnosis, matter: Sequence[Finding]) -> Iterator[str]:
+    before, after = diagnosis.innovation_ratio_before, diagnosis.innovation_ratio_after
+    closed = matter[0].held_out_error_closed_percent
+    if before is not None and after is not None and after < before:
+        yield f"the normalised innovation squared falls from {before:.3g} to {after:.3g} (1 for a right model)"
+    if len(matter) == 1 and closed is not None and closed > 0.0:
+        yield f"the error on held-out data, beyond that of noise, by {closed:.3g} %"
 
 
 def _line(diagnosis: Diagnosis) -> str:

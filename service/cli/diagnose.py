@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -78,7 +78,7 @@ def diagnose(
         typer.Option("--report", help="Write a self-contained page to read, mail and print: FILE.html."),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
-) -> None:
+) -> Any:  # the diagnosis; Typer would import its type for every command
     """Find the physical effect that a model lacks, or report that the recordings are not sufficient.
 
     The last of several recordings is held out for validation, or each third of a single one in turn. A vehicle whose
@@ -141,3 +141,4 @@ def diagnose(
             page.print(f"\nModel: {auto}, with a record of all steps: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA or not found.steps:
         raise typer.Exit(1)
+    return found

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from upright.service.cli.arguments import VehicleArgument, VehicleOption
 from upright.service.output import page, people
@@ -58,6 +59,9 @@ def demo(
         bool, typer.Option("--dashboard", help="Serve the page live, in real time, and go on until Ctrl-C.")
     ] = False,
     port: Annotated[int, typer.Option(help="Port of the dashboard, on this machine only.")] = 8765,
+    show: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the report in the browser, if there is one.")
+    ] = True,
 ) -> None:
     """Run everything without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
     import math
@@ -100,18 +104,24 @@ def demo(
                 save_run(recording, file, picture)
             page.print(comparison_table(comparisons, title=path.stem))
             page.print(f"  recording {path}\n  picture   {picture}")
+        from upright.diagnosis.report.words import gist
+        from upright.service.browser import open_page
         from upright.service.cli.diagnose import diagnose
 
         report = last.with_name("diagnosis.html")
         try:
-            diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
+            found = diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
         except typer.Exit:  # insufficient data, which is said; the page goes on
             if not dashboard:
                 raise
+            return
         page.print(
-            "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add the missing"
-            f" effect. The whole way to a controller: `upright commission --virtual --vehicle {vehicle}`."
+            "\nNext: `upright model add mine.toml EFFECT --recording RECORDING` adds a missing effect. The whole way to"
+            f" a controller: `upright commission --virtual --vehicle {vehicle}`."
         )
+        page.print(f"\n[bold]{escape(gist(found))}[/bold]")
+        opened = show and not dashboard and open_page(report)
+        page.print(f"Report{', opened in the browser' if opened else ''}: {report.absolute()}", soft_wrap=True)
 
     experiments, data = experiment or list(story.experiments), data or Path("recordings")
     print_disturbance(requested_disturbance(file, hide or []))

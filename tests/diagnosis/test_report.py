@@ -30,9 +30,10 @@ from upright.diagnosis.report import write_report
 from upright.diagnosis.report.figures.diagnosis import staircase
 from upright.diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
 from upright.diagnosis.report.tables import HARD_SPACE, detectables, p_text
-from upright.diagnosis.report.words import headline
+from upright.diagnosis.report.words import gist, headline
 from upright.estimators.disturbance_estimate import rms
 from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.numbers import with_error
 
 
 class TestPage:
@@ -144,6 +145,20 @@ class TestFindings:
         listed = {name: size.replace(HARD_SPACE, " ") for name, _, size in detectables(found())}
         assert listed.keys() == (found().minimum_detectable or {}).keys()
         assert all(name in rest and size in rest for name, size in listed.items())
+
+
+def test_gist_names_effect_size_and_the_fall_of_the_error() -> None:
+    text, (finding, *_) = gist(found()), found().findings
+    torque = finding.parameters["coulomb_friction.torque"]
+    assert text.startswith("The model lacks coulomb_friction")
+    assert f"(torque = {with_error(torque.value or 0.0, torque.std, 'N m')}): with it, the normalised" in text
+    assert f"from {found().innovation_ratio_before:.3g} to {found().innovation_ratio_after:.3g}" in text
+    assert text.endswith(f"beyond that of noise, by {finding.held_out_error_closed_percent:.3g} %.")
+
+
+def test_gist_of_an_adequate_model_is_its_headline() -> None:
+    text = gist(Diagnosis(Verdict.ADEQUATE, ""))
+    assert text == "The model explains these recordings to within their noise."
 
 
 class TestDisturbance:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -87,8 +88,15 @@ def test_truncated_recording_is_identified_with_a_warning(recordings: dict[str, 
     assert "inertia" in done.stdout
 
 
-def test_no_model_is_adequate_with_a_hidden_effect(tmp_path: Path) -> None:
-    upright("demo", *STILL, "--experiment", "multisine", "--hide", "coulomb_friction", "--data", str(tmp_path))
+def test_hidden_effect_leaves_no_model_adequate_and_is_named_in_the_last_sentence(tmp_path: Path) -> None:
+    said = upright("demo", *STILL, "--experiment", "multisine", "--hide", "coulomb_friction", "--data", str(tmp_path))
+    said, _, report = said.rpartition("Report: ")
+    assert Path(report.strip()) == tmp_path / "diagnosis.html"  # no browser opens it here
+    assert (tmp_path / "diagnosis.html").is_file()
+    last = " ".join(said.rpartition("\n\n")[2].split())
+    # Of the dry frictions, a busy machine may have time for another one.
+    assert re.match(r"The model lacks \w+_friction.* \(torque = [56]\d\.\d+ ± \d\.\d+ N m\): with it, the", last)
+    assert re.search(r"falls from (\S+) to (\S+) \(1 for a right model\)", last)
     recording = next(tmp_path.glob("*_multisine.arrow"))
     models = document("compare", str(recording), "--model", str(recording.with_suffix(".estimates.json")))["models"]
     assert not any(model["adequate"] for model in models)

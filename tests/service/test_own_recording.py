@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import html
 import json
 import re
 from collections.abc import Callable, Sequence
@@ -10,11 +12,15 @@ from typing import Any
 
 import numpy as np
 import pendulum_plant
+import pyarrow as pa
 import pytest
+from pyarrow import feather
 from typer.testing import CliRunner
 from virtual_records import multisine
 
+import upright as library
 from upright.service.cli import app
+from upright.service.offline.export import export
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load, load_all, save
@@ -90,6 +96,41 @@ def test_columns_of_the_model_file_name_what_is_what(model: Path, rows: Rows, tm
     assert inertia(upright("identify", path, "--model", other, *QUICK)) == pytest.approx(
         pendulum_plant.INERTIA, rel=0.02
     )
+
+
+POSITION, VOLTAGE = "/joint_states/joint1/position", "Motor #1: u=cmd, 'raw' [V]"
+"""Names that no equation can contain, and that options, tables and pages have to leave as they are."""
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".arrow", ".mf4"])
+def test_columns_may_have_any_name_from_identification_to_report(
+    suffix: str, model: Path, rows: Rows, tmp_path: Path
+) -> None:
+    """In the model file, in the options, and in the library."""
+    values = np.array(rows[1:], dtype=np.float64)
+    names = dict(zip(("time", VOLTAGE, POSITION), values.T, strict=True))
+    path, named, page = tmp_path / f"run{suffix}", tmp_path / "named.toml", tmp_path / "page.html"
+    if suffix == ".csv":
+        with path.open("w", newline="") as file:
+            csv.writer(file).writerows([list(names), *values.tolist()])
+    elif suffix == ".arrow":
+        feather.write_feather(pa.table(names), path)
+    else:
+        export(library.Recording.from_frame(names, units={POSITION: "rad", VOLTAGE: "V"}), path)
+    columns = f'[columns]\nangle = "{POSITION}"\nvoltage = "{VOLTAGE}"\n\n[parameters]'
+    named.write_text(model.read_text().replace("[parameters]", columns, 1))
+    by_map = ("--map", f"angle={POSITION}", "--map", f"voltage={VOLTAGE}")
+    assert library.load(path, model=named)["angle"] == pytest.approx(names[POSITION], abs=1e-6)
+    for ways in (("--model", named), ("--model", model, *by_map)):
+        assert inertia(upright("identify", path, *ways, *QUICK)) == pytest.approx(pendulum_plant.INERTIA, rel=0.02)
+    if suffix != ".csv":
+        return  # from here on, the recording is the same
+    compared = upright("compare", path, "--model", named, "--report", page)
+    assert compared["models"][0]["fit_percent"].keys() == {"angle"}
+    assert all(name in html.unescape(page.read_text()) for name in (POSITION, VOLTAGE))
+    found = upright("diagnose", path, "--model", named, "--effect", "viscous_friction", "--report", page)
+    assert found["verdict"] in ("adequate", "missing_effect", "unknown")
+    assert POSITION in html.unescape(page.read_text())
 
 
 def test_angle_in_degrees_is_a_question_and_no_effect(model: Path, rows: Rows, tmp_path: Path) -> None:
