@@ -58,6 +58,14 @@ MapOption = Annotated[
         show_default="by their names",
     ),
 ]
+DbcOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--dbc",
+        help="A DBC file: take the signals that it names from CAN logs, in place of the vehicle's channels.",
+        show_default=False,
+    ),
+]
 AssumeOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -10,6 +10,7 @@ import typer
 
 from upright.service.cli.arguments import (
     AssumeOption,
+    DbcOption,
     FromOption,
     MapOption,
     RecordingsArgument,
@@ -74,6 +75,7 @@ def identify(
     end: ToOption = math.inf,
     map_: MapOption = None,
     assume: AssumeOption = None,
+    dbc: DbcOption = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     report: Annotated[
         Path | None,
@@ -101,7 +103,7 @@ def identify(
         check_suffix(picture)
     check_folder(report)
     user = said_of(map_ or [], assume or [], columns(model))
-    loaded = load_recordings(recordings, file, [subject], user=user, begin=begin, end=end)
+    loaded = load_recordings(recordings, file, [subject], user=user, begin=begin, end=end, database=dbc)
     with fitting() as progress:
         answer = identified(
             loaded, file, model=subject, methods=method or (), every=every, bandwidth=bandwidth, progress=progress
@@ -170,10 +172,7 @@ def convert(
         Path, typer.Argument(help="A file; its suffix gives the format: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")
     ],
     vehicle: VehicleOption = "monocab",
-    dbc: Annotated[
-        Path | None,
-        typer.Option("--dbc", help="A DBC file: take the signals that it names from a CAN log.", show_default=False),
-    ] = None,
+    dbc: DbcOption = None,
     map_: MapOption = None,
     assume: AssumeOption = None,
 ) -> None:

@@ -10,6 +10,7 @@ import typer
 
 from upright.service.cli.arguments import (
     AssumeOption,
+    DbcOption,
     FromOption,
     MapOption,
     RecordingsArgument,
@@ -39,6 +40,7 @@ def compare(
     end: ToOption = math.inf,
     map_: MapOption = None,
     assume: AssumeOption = None,
+    dbc: DbcOption = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="Picture of the overlay and of where the models fail: .png, .svg or .pdf."),
@@ -75,7 +77,7 @@ def compare(
     answers = []
     pictures = []
     with working() as step:
-        loaded = load_recordings(recordings, file, list(chosen.values()), user=user, begin=begin, end=end)
+        loaded = load_recordings(recordings, file, list(chosen.values()), user=user, begin=begin, end=end, database=dbc)
         for recording, found in zip(loaded, compared(loaded, chosen, file, step), strict=True):
             path = Path(recording.source)
             answers.append((path, found))

@@ -11,6 +11,7 @@ import typer
 
 from upright.service.cli.arguments import (
     AssumeOption,
+    DbcOption,
     FromOption,
     MapOption,
     RecordingsArgument,
@@ -56,6 +57,7 @@ def diagnose(
     end: ToOption = math.inf,
     map_: MapOption = None,
     assume: AssumeOption = None,
+    dbc: DbcOption = None,
     auto: Annotated[
         Path | None,
         typer.Option(
@@ -103,7 +105,7 @@ def diagnose(
     candidates = Candidates.of(effect, own or ())
     user = said_of(map_ or [], assume or [], columns(model))
     needed = [to_be_completed(model, file), *actuators_of(file, model)]
-    loaded = load_recordings(recordings, file, needed, user=user, begin=begin, end=end)
+    loaded = load_recordings(recordings, file, needed, user=user, begin=begin, end=end, database=dbc)
     read = provenance("", recordings, loaded)  # now, since minutes later a file may have changed
     seconds = default_budget(loaded) if budget is None else budget
     with share_done(seconds) as progress:

@@ -21,6 +21,7 @@ from upright.telemetry.channels import Channel, ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import CanFrame
+from upright.telemetry.tables.raw import Column, RawTable
 from upright.telemetry.tables.units import Unit, unit_of
 
 OTHERS = (".kcd", ".sym", ".arxml")
@@ -69,6 +70,14 @@ def signals(log: CanLog, database: Path, source: Path) -> Recording:
     notes += [f"{count} frames of {name} are too short for the DBC" for name, count in undecoded.items()]
     fastest = max(received, key=lambda name: len(received[name]))
     return _recording(found, received[fastest], str(source), "; ".join(filter(None, notes)))
+
+
+def table_of(found: Recording) -> RawTable:
+    """`signals` as a table, so that a model finds its channels in it as in any other."""
+    stamps = found.timestamp_ns
+    time = Column("time", "time", "ns", stamps.astype(np.float64), stamps, "date")
+    columns = (Column(each.name, each.name, each.unit, found[each.name]) for each in found.channels)
+    return RawTable(found.source, (time, *columns), np.arange(1, len(stamps) + 1), truncated=found.truncated)
 
 
 def _messages(database: Path) -> dict[tuple[int, bool], Any]:

@@ -27,6 +27,7 @@ from upright.telemetry.channels import ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.tables.mapping import NOTHING, Said, columns_of
+from upright.telemetry.tables.read import recordings
 from upright.vehicles import registry
 from upright.vehicles.file import VehicleFile
 
@@ -57,20 +58,28 @@ def load_all(
     """The recordings in a file: several if a logger began anew in it. They have the channels that `models` need, by
     default the vehicle's own; `user` is what the user says of the columns.
 
-    `database` is a DBC: the signals that it names in a CAN log, in place of the vehicle's channels.
+    `database` is a DBC: the signals that it names in a CAN log, in place of the vehicle's channels. For `models`, they
+    are read as the columns of a table.
 
     Raises:
         RecordingError: the file cannot be read, contains no frames of this vehicle, or is of another machine.
     """
-    if database is not None:
+    if database is not None and models is None:
         from upright.service.offline.dbc import signals
 
         return (signals(can_log.open_log(path), database, path),)
-    if can_log.is_can_log(path):
+    is_log = can_log.is_can_log(path)
+    if is_log and database is None:
         return (from_raw_log(path, vehicle),)
     own = models is None or any(is_of(each, vehicle) for each in models)
     said = replace(user, columns={**columns_of(vehicle.columns), **user.columns}) if own else user
-    found = storage.load_all(path, wanted(models or (), vehicle if own else None), said)
+    needed = wanted(models or (), vehicle if own else None)
+    if is_log and database is not None:
+        from upright.service.offline.dbc import signals, table_of
+
+        found = recordings([table_of(signals(can_log.open_log(path), database, path))], needed, said)
+    else:
+        found = storage.load_all(path, needed, said)
     if not own:
         return found
     for each in found:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import html
 import json
+import math
 import re
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,8 +23,10 @@ from virtual_records import multisine
 import upright as library
 from upright.service.cli import app
 from upright.service.offline.export import export
+from upright.telemetry.candump import format_frames
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
+from upright.telemetry.samples import CanFrame
 from upright.telemetry.storage import load, load_all, save
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
@@ -131,6 +135,35 @@ def test_columns_may_have_any_name_from_identification_to_report(
     found = upright("diagnose", path, "--model", named, "--effect", "viscous_friction", "--report", page)
     assert found["verdict"] in ("adequate", "missing_effect", "unknown")
     assert POSITION in html.unescape(page.read_text())
+
+
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: ECU
+BO_ 256 Arm: 8 ECU
+ SG_ Position : 0|32@1- (0.0001,0) [-100|100] "deg" ECU
+ SG_ Command : 32|32@1- (0.0001,0) [-100|100] "V" ECU
+"""
+
+
+def test_signals_of_a_can_log_are_channels_of_a_model(model: Path, rows: Rows, tmp_path: Path) -> None:
+    """By a DBC and `--map`, without converting the log first."""
+    database, log = tmp_path / "arm.dbc", tmp_path / "run.log"
+    database.write_text(DBC)
+    frames = []
+    for time, voltage, angle in np.array(rows[1:], dtype=np.float64):
+        data = struct.pack("<ii", round(1e4 * math.degrees(angle)), round(1e4 * voltage))
+        frames.append(CanFrame(1_700_000_000_000_000_000 + round(1e9 * time), 0x100, data))
+    log.write_text(format_frames(frames, ("can0",)))
+    ways = ("--model", model, "--dbc", database, "--map", "angle=Position", "--map", "voltage=Command")
+    assert inertia(upright("identify", log, *ways, *QUICK)) == pytest.approx(pendulum_plant.INERTIA, rel=0.02)
+    compared = upright("compare", log, *ways)["models"][0]
+    assert compared["fit_percent"].keys() == {"angle"}
+    found = upright("diagnose", log, *ways, "--effect", "viscous_friction")
+    assert found["verdict"] in ("adequate", "missing_effect", "unknown")
+    unnamed = upright("identify", log, *ways[:4], *QUICK, code=1)
+    assert "channel" in unnamed["methods"]["prediction_error"]["reason"]
 
 
 def test_angle_in_degrees_is_a_question_and_no_effect(model: Path, rows: Rows, tmp_path: Path) -> None:
