@@ -66,10 +66,12 @@ def _reasons(left_out: Mapping[str, str]) -> dict[str, list[str]]:
 def _ranking(finding: Finding) -> Table:
     table = Table(box=None, show_header=False, padding=(0, 1))
     total = sum(finding.odds.values())
-    for name, odds in sorted(finding.odds.items(), key=lambda each: -each[1])[:6]:
-        share = odds / total
-        mark = "tied" if name in finding.tied_with else ""
-        table.add_row("", name, "█" * round(BAR * share) or "▏", f"{100.0 * share:.1f} %", mark)
+    # The named effect is first, whatever the others' odds: it passed all checks.
+    for name, odds in sorted(finding.odds.items(), key=lambda each: (each[0] != finding.effect, -each[1]))[:6]:
+        share, named = odds / total, name == finding.effect
+        mark = "named" if named else "tied" if name in finding.tied_with else ""
+        bar = "█" * round(BAR * share) or "▏"
+        table.add_row("", name, bar, f"{100.0 * share:.1f} %", mark, style="bold" if named else "")
     return table
 
 

@@ -120,6 +120,9 @@ class TestFindings:
         expected = [str(1 + len(finding.tied_with))] if finding.tied_with else []
         assert [each["rowspan"] for each in brackets] == expected
 
+    def test_named_effect_is_marked_in_its_ranking(self) -> None:
+        assert [each.get("class") for each in page().all("tr")].count("named") == len(found().findings)
+
     def test_amplitudes_stand_beside_the_minimum_detectable_ones(self) -> None:
         torque = found().findings[0].parameters["coulomb_friction.torque"].value
         least = found().score_tests[0].score("coulomb_friction").detectable

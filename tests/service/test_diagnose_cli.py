@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 from virtual_records import multisine
-from written_report import of_little_matter
+from written_report import found, of_little_matter
 
 from upright.diagnosis import parts
 from upright.models.file.model_file import read
@@ -113,6 +114,18 @@ def test_negligible_effect_is_listed_separately_below_the_headline(capsys: pytes
     above, below = text.split("Negligible: significant, but less than 1 % of the error")
     assert "coulomb_friction" not in above
     assert "1. coulomb_friction" in below
+
+
+def test_named_effect_is_first_and_marked_whatever_the_odds_of_the_others(capsys: pytest.CaptureFixture[str]) -> None:
+    """Another effect may fit better, but has failed a check."""
+    whole = found()
+    first, *rest = whole.findings
+    likelier = replace(first, odds={"hysteresis": 3.0, **first.odds})
+    print_diagnosis(replace(whole, findings=(likelier, *rest)), 60.0)
+    below = capsys.readouterr().out.partition(f"1. {first.effect}")[2].splitlines()
+    assert below[1].split()[0] == first.effect
+    assert below[1].rstrip().endswith("named")
+    assert below[2].split()[0] == "hysteresis"
 
 
 def test_model_trail_and_report_are_written_with_the_finding(recording: Path, tmp_path: Path) -> None:
