@@ -28,6 +28,7 @@ from upright.estimators.identify.bounded_fit import RISE, BoundedFit, Profile, b
 from upright.estimators.identify.combinations import combinations
 from upright.estimators.identify.validation import in_windows, on_others
 from upright.estimators.methods.prediction_error import predicted_percent
+from upright.estimators.numbers import with_error
 from upright.models.library import get
 from upright.service.virtual.run import record
 from upright.telemetry.recording import Recording
@@ -90,7 +91,7 @@ def print_tables(found: Estimation) -> None:
     )
     print("\ncombination per unit of motor gain, with the other parameters fixed")
     for name, (value, std) in combinations(found.reduced, IDENTIFIABLE_NEAR_UPRIGHT).items():
-        print(f"{name:28}{value:12.5g} ± {std:.2g}")
+        print(f"{name:28}{with_error(value, std):>20}")
     print(f"\npercent of the motion predicted {HORIZON:g} s ahead: table 1, complete fit, reduced fit")
     for experiment, shares in percents(found).items():
         for channel in SHOWN:

@@ -33,4 +33,4 @@ for channel in fits[0]["fit_percent"]:
 
 # %% Values are plain numbers
 inertia = second.parameters["inertia"]
-print(f"inertia {inertia.value:.0f} ± {inertia.std:.0f} {inertia.unit}; everything known: {second.parameters}")
+print(f"inertia {inertia}; everything known: {second.parameters}")
