@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from upright.diagnosis.prepare.candidates import Candidate
 from upright.diagnosis.score.score_test import Score
 from upright.estimators.contract import ParameterEstimate
-from upright.estimators.numbers import with_error
+from upright.estimators.numbers import about, with_error
 from upright.models.effect import Role
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ def explain(finding: Finding, score: Score) -> str:
     first = candidate.amplitudes[0]
     chance = f"chance explains the finding with a probability of {_probability(finding.p_value)}."
     # The detectable amplitude follows from the derivative at amplitude zero, which says nothing of impacts.
-    shown = f"This record would have shown {score.detectable:.2g} {_unit(candidate, first)} of {first.split('.')[-1]}; "
+    least = about(score.detectable, _unit(candidate, first))
+    shown = f"This record would have shown {least} of {first.split('.')[-1]}; "
     sentences.append(chance.capitalize() if effect.impacts else shown + chance)
     others = [name for name in finding.odds if name != finding.effect]
     if finding.tied_with:
@@ -90,8 +91,7 @@ def _sizes(parameters: Mapping[str, ParameterEstimate], prefix: str = "") -> str
 
 
 def _unit(candidate: Candidate, name: str) -> str:
-    unit = next(p.unit for p in candidate.attached.parameters if p.name == name)
-    return "" if unit == "1" else unit
+    return next(p.unit for p in candidate.attached.parameters if p.name == name)
 
 
 def _probability(value: float) -> str:

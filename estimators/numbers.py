@@ -101,6 +101,11 @@ def with_error(value: float, std: float | None = None, unit: str = "1") -> str:
     return f"({text}) × {found.unit}" if "±" in text else f"{text} × {found.unit}"
 
 
+def about(value: float, unit: str = "1") -> str:
+    """`130 N m`: a value of which two digits matter."""
+    return with_error(float(f"{value:.{DIGITS}g}"), None, unit)
+
+
 def _scaled(power: int, unit: str) -> Scale:
     if power == 0:
         return plain(unit)

@@ -15,7 +15,7 @@ from upright.diagnosis.report.sentences import two_digits
 from upright.diagnosis.score.score_test import Score, ScoreTest
 from upright.estimators.fit.disturbance import disturbances
 from upright.estimators.methods.prediction_error import result
-from upright.estimators.numbers import Scale, common, with_error
+from upright.estimators.numbers import Scale, about, common, with_error
 from upright.telemetry.recording import Recording
 
 HARD_SPACE = "\N{NO-BREAK SPACE}"
@@ -254,7 +254,7 @@ def _quantity(value: float | None, std: float | None, unit: str) -> str:
 
 def _roughly(size: float, score: Score) -> str:
     """An amplitude of `score` with two digits."""
-    return _hard(with_error(float(f"{size:.2g}"), None, _amplitude_unit(score)))
+    return _hard(about(size, _amplitude_unit(score)))
 
 
 def _hard(text: str) -> str:

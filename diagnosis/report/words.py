@@ -8,6 +8,7 @@ from typing import Any
 
 from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
 from upright.diagnosis.explain import explained_by_none
+from upright.diagnosis.prediction.relevance import percent
 from upright.diagnosis.report.sentences import NOTHING_MATTERS, mattering, to_within
 from upright.estimators.numbers import with_error
 from upright.models.effect import Effect
@@ -63,11 +64,11 @@ def _sized(finding: Finding) -> str:
 
 def _falls(diagnosis: Diagnosis, matter: Sequence[Finding]) -> Iterator[str]:
     before, after = diagnosis.innovation_ratio_before, diagnosis.innovation_ratio_after
-    closed = matter[0].held_out_error_closed_percent
+    known = matter[0].relevance
     if before is not None and after is not None and after < before:
-        yield f"the normalised innovation squared falls from {before:.3g} to {after:.3g} (1 for a right model)"
-    if len(matter) == 1 and closed is not None and closed > 0.0:
-        yield f"the error on held-out data, beyond that of noise, by {closed:.3g} %"
+        yield f"the normalised innovation squared falls from {before:#.3g} to {after:#.3g} (1 for a right model)"
+    if len(matter) == 1 and known is not None:
+        yield f"the error energy {known.horizon:g} s ahead by {percent(known.ahead)}"
 
 
 def _line(diagnosis: Diagnosis) -> str:

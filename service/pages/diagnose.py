@@ -12,6 +12,7 @@ from rich.table import Table
 from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
 from upright.diagnosis.report.sentences import disturbance_sentences, mattering, negligible, untried_sentence
 from upright.diagnosis.report.words import headline
+from upright.estimators.numbers import about
 from upright.service.output import page
 
 COLOURS = {"adequate": "green", "missing_effect": "yellow", "unknown": "red", "insufficient_data": "red"}
@@ -88,6 +89,5 @@ def _detectable(found: Diagnosis) -> Table:
             continue
         first = score.candidate.amplitudes[0]
         unit = next(p.unit for p in score.candidate.attached.parameters if p.name == first)
-        size = f"{sizes[score.candidate.name]:.3g}" + ("" if unit == "1" else f" {unit}")
-        table.add_row(score.candidate.name, first.rsplit(".", 1)[-1], size)
+        table.add_row(score.candidate.name, first.rsplit(".", 1)[-1], about(sizes[score.candidate.name], unit))
     return table

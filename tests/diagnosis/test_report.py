@@ -155,8 +155,9 @@ def test_gist_names_effect_size_and_the_fall_of_the_error() -> None:
     torque = finding.parameters["coulomb_friction.torque"]
     assert text.startswith("The model lacks coulomb_friction")
     assert f"(torque = {with_error(torque.value or 0.0, torque.std, 'N m')}): with it, the normalised" in text
-    assert f"from {found().innovation_ratio_before:.3g} to {found().innovation_ratio_after:.3g}" in text
-    assert text.endswith(f"beyond that of noise, by {finding.held_out_error_closed_percent:.3g} %.")
+    assert f"from {found().innovation_ratio_before:#.3g} to {found().innovation_ratio_after:#.3g}" in text
+    assert finding.relevance is not None
+    assert text.endswith(f"and the error energy 0.5 s ahead by {percent(finding.relevance.ahead)}.")
 
 
 def test_gist_of_an_adequate_model_is_its_headline() -> None:

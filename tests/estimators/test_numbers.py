@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from watched import chromium
 
-from upright.estimators.numbers import common, with_error
+from upright.estimators.numbers import about, common, with_error
 
 CASES = [
     (0.032, 0.0012, "N m", "0.0320 ± 0.0012 N m"),
@@ -67,6 +67,14 @@ RUN = """async ([source, cases]) => {
   const { plusMinus } = await import("data:text/javascript;charset=utf-8," + encodeURIComponent(source));
   return cases.map((each) => plusMinus(...each));
 }"""
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "shown"),
+    [(134.6, "N m s/rad", "130 N m s/rad"), (3.5e5, "N m/rad^3", "350 kN m/rad^3"), (7.54e-5, "rad", "75 µrad")],
+)
+def test_size_that_is_known_roughly_has_two_digits_and_no_exponent(value: float, unit: str, shown: str) -> None:
+    assert about(value, unit) == shown
 
 
 def test_column_has_one_power_of_ten_for_all_of_its_values() -> None:
