@@ -241,13 +241,18 @@ def summary(fails: Mapping[str, Sequence[Entry]]) -> list[str]:
         sentences.append("By state, other values of the estimated parameters would explain all that is significant.")
     for entry in fails["frequency"][:1]:
         where = f"{entry['from_hz']:.2g} to {entry['to_hz']:.2g} Hz"
-        power = f"{entry['power_over_floor']:.3g} times the noise floor"
+        power = f"{_times(entry['power_over_floor'])} the noise floor"
         sentences.append(f"By frequency: the worst from {where}, {power}.")
     for entry in fails["time"][:1]:
-        where = f"{entry['from']:.1f} to {entry['to']:.1f} s, {entry['energy_over_floor']:.3g} times the noise floor"
+        where = f"{entry['from']:.1f} to {entry['to']:.1f} s, {_times(entry['energy_over_floor'])} the noise floor"
         span = f"{entry['to'] - entry['from']:.2g}"
         sentences.append(f"By time: {len(fails['time'])} windows of {span} s fail, the worst from {where}.")
     return sentences
+
+
+def _times(ratio: float) -> str:
+    """`10200 times`: a ratio with three digits."""
+    return f"{with_error(float(f'{ratio:.3g}'))} times"
 
 
 def _by_coordinate(entries: Sequence[Entry]) -> Iterator[str]:

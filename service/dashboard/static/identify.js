@@ -4,7 +4,7 @@ import { h, fill, table } from "./dom.js";
 import { Chart, colour } from "./charts.js";
 import { disturbances } from "./disturbance.js";
 import { picker, run } from "./jobs.js";
-import { pair, plusMinus, scale, unit } from "./numbers.js";
+import { pair, quantity, scale, unit } from "./numbers.js";
 
 const BAND = 1.96; // standard deviations of a 95 % band
 const LIVE_BAND = 2; // standard deviations of a live band: the number by which methods part
@@ -123,9 +123,7 @@ export class Identify {
     if (this.dirty) return;
     this.drawn = performance.now();
     if (this.latest) {
-      fill(this.now, table(["Parameter", "Value", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => [
-        name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, plusMinus(entry.value, entry.std, entry.unit)), this.cad(name, entry.unit),
-        String(entry.method ?? ""), String(entry.status ?? ""), String(entry.reason ?? "")])));
+      fill(this.now, table(["Parameter", "Value", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => this.row(name, entry))));
     }
     if (this.parts) fill(this.parting, this.words());
     for (const { chart, data, figure } of this.tracks.values()) {
@@ -135,9 +133,11 @@ export class Identify {
     }
   }
 
-  cad(name, its) {
-    const given = this.app.config.parameters[name];
-    return given ? plusMinus(given.value, given.std, its) : "–";
+  // An estimate beside the CAD value, both on one scale.
+  row(name, { value, std, unit: its, method, status, reason }) {
+    const given = this.app.config.parameters[name] ?? {}, on = scale([[value, std], [given.value, given.std]], its);
+    return [name, h("output", { "data-parameter": name, "data-si": String(value) }, quantity(on, value, std)),
+      given.value === undefined ? "–" : quantity(on, given.value, given.std), String(method ?? ""), String(status ?? ""), String(reason ?? "")];
   }
 
   // Where the methods part, in the sentences of the service.

@@ -57,16 +57,16 @@ export function pair({ power }, value, std) {
   return [rounded(value), rounded(std)];
 }
 
-// A value with its standard deviation in this unit, to stand beside others in it.
-export function plain(value, std, its) {
-  const found = scaled(0, its), [first, second] = pair(found, value, std);
-  return `${second ? `${first} ± ${second}` : first} ${found.unit}`.trim();
+// A value with its standard deviation on a scale, with the unit.
+export function quantity(on, value, std) {
+  const [first, second] = pair(on, value, std);
+  const words = second ? `${first} ± ${second}` : first;
+  if (on.prefixed) return `${words} ${on.unit}`.trim();
+  return `${second ? `(${words})` : words} × ${on.unit}`;
 }
 
-// A value with its standard deviation and its unit.
-export function plusMinus(value, std, its) {
-  const found = scale([[value, std]], its), [first, second] = pair(found, value, std);
-  const words = second ? `${first} ± ${second}` : first;
-  if (found.prefixed) return `${words} ${found.unit}`.trim();
-  return `${second ? `(${words})` : words} × ${found.unit}`;
-}
+// The same in this unit, to stand beside others in it.
+export const plain = (value, std, its) => quantity(scaled(0, its), value, std);
+
+// The same on its own scale.
+export const plusMinus = (value, std, its) => quantity(scale([[value, std]], its), value, std);
