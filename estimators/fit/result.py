@@ -17,6 +17,7 @@ from upright.estimators.data.segments import DataError
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
 from upright.estimators.fit.gauss_newton import Minimum
 from upright.estimators.fit.problem import Problem
+from upright.estimators.numbers import about
 from upright.models.model import Model
 from upright.models.parts import Parameter
 from upright.models.random.disturbance import parameters_of
@@ -88,7 +89,7 @@ def assemble(
         elif std > max(2.0 * required, REQUIRED_OF_SIZE * abs(value)):
             status = Status.UNIDENTIFIABLE
             held = ", ".join(problem.model.parameters[number].name for number in problem.uncertain)
-            reason = f"it is known only to ± {std:.3g} {parameter.unit}, since it depends on held values: {held}"
+            reason = f"it is known only to ± {about(std, parameter.unit)}, since it depends on held values: {held}"
         elif hit and not _is_neutral(parameter, value):
             status = Status.AT_BOUND
             bound = lower[place] if value <= lower[place] else upper[place]
@@ -124,7 +125,8 @@ def _unknown(problem: Problem, place: int, related: Array, alone: float, require
     parameter = problem.parameters[place]
     others = np.abs(np.delete(related[place], place))
     names = [each.name for number, each in enumerate(problem.parameters) if number != place]
-    reached = f"the record determines {parameter.name} to ± {alone:.3g} {parameter.unit}, ± {required:.3g} is required"
+    reached, wanted = (f"± {about(std, parameter.unit)}" for std in (alone, required))
+    reached = f"the record determines {parameter.name} to {reached}, {wanted} is required"
     if len(others) and np.max(others) > 0.9:
         partner = names[int(np.argmax(others))]
         return Status.UNIDENTIFIABLE, f"{reached}: {partner} has the same effect on the measurements; hold one of them"

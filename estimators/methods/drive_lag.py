@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from upright.estimators.contract import Estimate, ParameterEstimate, Status
+from upright.estimators.numbers import about
 from upright.estimators.recursive.least_squares import continue_autocovariance, positive_meat
 from upright.estimators.speed_loop import LONGEST, MODES, RUN_IN, SHORTEST, Loop, Modes, Window, predict, windows_of
 from upright.estimators.stopwatch import stopwatch
@@ -192,6 +193,7 @@ def _parameter(
         reason = f"{name} is at the limit of its search range, {value:g} s: check the channels' signs and times"
         return ParameterEstimate(None, None, "s", Status.AT_BOUND, coverage, reason)
     if coverage < 100.0:
-        reason = f"{name} is known only to ± {std:.2g} s, ± {required:.2g} s is required: record larger or more steps"
+        reached, wanted = about(std, "s"), about(required, "s")
+        reason = f"{name} is known only to ± {reached}, ± {wanted} is required: record larger or more steps"
         return ParameterEstimate(None, None, "s", Status.TOO_LITTLE_EXCITATION, coverage, reason)
     return ParameterEstimate(value, std, "s", Status.OK, coverage)

@@ -42,6 +42,7 @@ from upright.estimators.methods.frequency_response import (
     response,
 )
 from upright.estimators.methods.least_squares import REQUIRED_SHARE, assembled, size_of
+from upright.estimators.numbers import about
 from upright.estimators.stopwatch import stopwatch
 from upright.models.model import Model
 from upright.models.parts import Parameter
@@ -272,8 +273,8 @@ def _parameter(place: int, parameters: Sequence[Parameter], fit: Fit, whole: Arr
     if not fit.converged:
         return unknown(Status.NOT_CONVERGED, f"the simplex did not converge in {STEPS} steps")
     if not std < required:
-        reached = f"the response determines {parameter.name} to ± {std:.3g} {parameter.unit}"
-        reason = f"{reached}, ± {required:.3g} is required"
+        reached = f"the response determines {parameter.name} to ± {about(std, parameter.unit)}"
+        reason = f"{reached}, ± {about(required, parameter.unit)} is required"
         related = np.abs(np.delete(correlation(fit.covariance)[place], place))
         if len(related) and np.max(related) > 0.9:
             partner = [p.name for number, p in enumerate(parameters) if number != place][int(np.argmax(related))]

@@ -24,6 +24,7 @@ from upright.estimators.contract import Estimate, EstimationError, ParameterEsti
 from upright.estimators.data.segments import DataError, segments
 from upright.estimators.fit.result import correlation, refused, required_std
 from upright.estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
+from upright.estimators.numbers import about
 from upright.estimators.recursive.least_squares import RecursiveLeastSquares
 from upright.estimators.stopwatch import stopwatch
 from upright.models.model import Model
@@ -235,7 +236,8 @@ def _parameter(
         reason = f"the error of {parameter.name} cannot be estimated from {len(used)} samples: record for longer"
         return unknown(Status.TOO_FEW_SAMPLES, reason)
     elif std > required:
-        reason = f"the record determines {parameter.name} to ± {std:.3g} {parameter.unit}, ± {required:.3g} is required"
+        reached, wanted = (f"± {about(each, parameter.unit)}" for each in (std, required))
+        reason = f"the record determines {parameter.name} to {reached}, {wanted} is required"
     if reason and partner is not None:
         together = f"its term is correlated with that of {balance.names[partner]}; hold one of them"
         return unknown(Status.UNIDENTIFIABLE, f"{reason}: {together}")
