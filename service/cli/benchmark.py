@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -107,10 +105,11 @@ def hidden_effects(
     Ctrl-C ends it and shows the results up to then; the same command resumes.
     """
     from upright.diagnosis.report.figures.methods import check_suffix
+    from upright.service.cli.inputs import counting
     from upright.service.hidden_effects.benchmark import benchmark as run
     from upright.service.hidden_effects.results import trials as results
     from upright.service.hidden_effects.results.summary import summarise
-    from upright.service.hidden_effects.spread import machines, processes
+    from upright.service.spread import machines, processes
 
     if picture is not None:
         check_suffix(picture)
@@ -122,7 +121,7 @@ def hidden_effects(
         grid = _grid(bench, quick, effects, sizes, noise, excitations, seeds, first)
         spread = machines(scheduler) if scheduler else processes(workers or os.cpu_count() or 1)
         try:
-            with _counting() as progress:
+            with counting("cases") as progress:
                 lines = run(grid.cases(), bench, output, spread, progress)
         except KeyboardInterrupt:
             interrupted = True
@@ -210,29 +209,3 @@ def _numbers(text: str, option: str) -> tuple[float, ...]:
     if not numbers or not all(0.0 < number < float("inf") for number in numbers):
         raise typer.BadParameter(f"{text!r} is not a list of positive numbers, separated by commas", param_hint=option)
     return numbers
-
-
-@contextmanager
-def _counting() -> Iterator[Callable[[int, int], None]]:
-    """A progress bar over all cases with the remaining time, on stderr."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("cases"),
-        BarColumn(30),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        # Cases take half a minute: with the default period of half a minute the estimate would rest on one of them.
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=people, speed_estimate_period=3600.0) as progress:
-        task = progress.add_task("cases", total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -118,3 +118,29 @@ def share_done(seconds: float = math.inf) -> Iterator[Callable[[str, float], Non
             progress.update(task, description=text, completed=share)
 
         yield update
+
+
+@contextmanager
+def counting(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over all tasks, which are called `what`, with the remaining time, on stderr."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn(what),
+        BarColumn(30),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        # A task may take half a minute: with the default period, half a minute, the estimate would rest on one task.
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=people, speed_estimate_period=3600.0) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)

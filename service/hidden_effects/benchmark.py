@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from upright.service.hidden_effects.cases import Case, references
 from upright.service.hidden_effects.results import trials as results
-from upright.service.hidden_effects.spread import Spread
-from upright.service.hidden_effects.trial import DETECTABLE, Bench, Line
+from upright.service.hidden_effects.trial import DETECTABLE, Bench, Line, run
+from upright.service.spread import Spread, Work
 
+Sized = tuple[Case, Mapping[str, float]]
+"""A case, and the minimum detectable sizes from its reference case."""
 Progress = Callable[[int, int], None]
 """Called with the number of finished cases and of all cases."""
 
@@ -29,8 +32,8 @@ def benchmark(
     done = len(everything) - len(results.left(everything, bench, lines))
     progress(done, len(everything))
 
-    def detectable(case: Case) -> Mapping[str, float]:
-        return dict(lines.get(case.reference.key, {}).get(DETECTABLE, {}))
+    def sized(cases: Sequence[Case]) -> list[Sized]:
+        return [(case, dict(lines.get(case.reference.key, {}).get(DETECTABLE, {}))) for case in cases]
 
     def take(line: Line) -> None:
         nonlocal done
@@ -40,21 +43,31 @@ def benchmark(
         progress(done, len(everything))
 
     # A reference whose diagnosis failed is repeated, since the other cases depend on it.
-    sized = {key: line for key, line in lines.items() if DETECTABLE in line}
-    for line in spread(results.left(references(cases), bench, sized), bench, detectable):
+    able = {key: line for key, line in lines.items() if DETECTABLE in line}
+    work = Work(partial(_run, bench), partial(_failed, bench))
+    for line in spread(sized(results.left(references(cases), bench, able)), work):
         take(line)
-    able = []
+    rest = []
     for case in results.left(cases, bench, lines):
         if case == case.reference:
             continue  # has just been run
         if DETECTABLE in lines.get(case.reference.key, {}):
-            able.append(case)
+            rest.append(case)
         else:
             reason = f"the reference case failed: {_why(lines[case.reference.key])}"
             take(results.failed(case, bench, reason))
-    for line in spread(able, bench, detectable):
+    for line in spread(sized(rest), work):
         take(line)
     return {case.key: lines[case.key] for case in everything if case.key in lines}
+
+
+def _run(bench: Bench, task: Sized) -> Line:
+    case, detectable = task
+    return run(case, bench, detectable)
+
+
+def _failed(bench: Bench, task: Sized, reason: str) -> Line:
+    return results.failed(task[0], bench, reason)
 
 
 def _why(line: Line) -> str:

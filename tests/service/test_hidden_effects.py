@@ -5,19 +5,19 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import dask_scheduler
 import hidden_effects_stand_in as stand_in
 import numpy as np
 import pytest
+from dask_scheduler import environment, until
 from typer.testing import CliRunner
 
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
@@ -35,10 +35,10 @@ from upright.service.hidden_effects.results.confusion_picture import save_confus
 from upright.service.hidden_effects.results.summary import middle, share, summarise
 from upright.service.hidden_effects.revision import closed, fitted
 from upright.service.hidden_effects.sizes import NotDetectableError, levels, plant_sizes, right_model
-from upright.service.hidden_effects.spread import SchedulerError, Spread, machines, processes
 from upright.service.hidden_effects.trial import SUBJECT, Bench, run, virtual
 from upright.service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from upright.service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
+from upright.service.spread import SchedulerError, Spread, machines, processes
 from upright.simulation.monocab.hidden import HIDDEN, MONOCAB, UNLISTED
 from upright.simulation.monocab.roll_effects import roll_effects
 from upright.simulation.monocab.truth import PlantTruth
@@ -293,7 +293,7 @@ import sys
 from pathlib import Path
 import hidden_effects_stand_in as stand_in
 from upright.service.hidden_effects.benchmark import benchmark
-from upright.service.hidden_effects.spread import processes
+from upright.service.spread import processes
 if __name__ == "__main__":
     # Under a shell that runs the tests in the background, Ctrl-C would be ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -308,18 +308,18 @@ def test_ctrl_c_keeps_finished_cases_and_leaves_no_process(folder: Path) -> None
     path, script = folder / "results.jsonl", folder / "interrupted.py"
     script.write_text(INTERRUPTED)
     running = subprocess.Popen(
-        [sys.executable, script, path], env=_environment(), start_new_session=True, cwd=TESTS.parents[1]
+        [sys.executable, script, path], env=environment(), start_new_session=True, cwd=TESTS.parents[1]
     )
     try:
         # The clean record is finished at once; then two cases, which take a minute, are running.
-        _until(lambda: path.exists() and len(stand_in.traces()) >= 4, 60.0)
+        until(lambda: path.exists() and len(stand_in.traces()) >= 4, 60.0)
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does
         assert running.wait(20.0) == 130
     finally:
         if running.poll() is None:
             os.killpg(running.pid, signal.SIGKILL)
             running.wait()
-    _until(lambda: not _alive(running.pid), 10.0)
+    until(lambda: not _alive(running.pid), 10.0)
     assert list(results.read(path)) == [CASE.reference.key]
 
 
@@ -337,39 +337,9 @@ def _alive(group: int) -> bool:
 @pytest.fixture
 def scheduler(folder: Path) -> Iterator[str]:
     """A Dask scheduler with two workers, each a process of its own."""
-    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[bench]'")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    dask = [sys.executable, "-m", "dask"]
-    common = ["--no-dashboard"]
-    quiet: dict[str, Any] = {
-        "env": _environment(),
-        "cwd": folder,
-        "stdout": subprocess.DEVNULL,
-        "stderr": subprocess.DEVNULL,
-    }
-    started = [subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), *common], **quiet)]
-    worker = [*dask, "worker", address, "--nthreads", "1", "--nworkers", "1", *common]
-    started += [subprocess.Popen(worker, **quiet) for _ in range(2)]
-    try:
-        _until(lambda: _workers(address) == 2, 60.0)
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[fleet]'")
+    with dask_scheduler.scheduler(folder) as address:
         yield address
-    finally:
-        for process in reversed(started):
-            process.terminate()
-        for process in started:
-            process.wait(20.0)
-
-
-def _workers(address: str) -> int:
-    code = (
-        "import sys; from distributed import Client\n"
-        "with Client(sys.argv[1], timeout=5) as client: print(len(client.scheduler_info(n_workers=-1)['workers']))"
-    )
-    done = subprocess.run([sys.executable, "-c", code, address], capture_output=True, text=True, timeout=60)
-    return int(done.stdout) if done.returncode == 0 else 0
 
 
 @pytest.mark.filterwarnings("default")  # Dask's own, about its event loop
@@ -383,8 +353,8 @@ def test_dask_workers_give_the_same_answers_even_if_one_is_killed(folder: Path, 
 
 @pytest.mark.filterwarnings("default")
 def test_unreachable_scheduler_is_reported_with_a_remedy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[bench]'")
-    monkeypatch.setattr("upright.service.hidden_effects.spread.CONNECT_TIMEOUT", 0.5)
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[fleet]'")
+    monkeypatch.setattr("upright.service.spread.CONNECT_TIMEOUT", 0.5)
     spread: Spread = machines("tcp://127.0.0.1:1")
     with pytest.raises(SchedulerError, match="dask scheduler"):
         benchmark(stand_in.SMALL.cases(), stand_in.bench(), folder / "results.jsonl", spread)
@@ -392,7 +362,7 @@ def test_unreachable_scheduler_is_reported_with_a_remedy(folder: Path, monkeypat
 
 def test_missing_dask_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SchedulerError, match=r"upright\[bench\]") as caught:
+    with pytest.raises(SchedulerError, match=r"upright\[fleet\]") as caught:
         machines("tcp://server:8786")
     assert caught.value.address == "tcp://server:8786"
 
@@ -664,14 +634,3 @@ def test_confusion_picture_without_a_case_is_refused(tmp_path: Path) -> None:
 def _timeless(line: dict[str, Any]) -> dict[str, Any]:
     methods = {name: {**reported, "seconds": 0.0} for name, reported in line["methods"].items()}
     return {**line, "methods": methods}
-
-
-def _environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": os.pathsep.join((str(TESTS), str(TESTS.parents[1])))}
-
-
-def _until(true: Callable[[], bool], limit: float) -> None:
-    end = time.monotonic() + limit
-    while not true():
-        assert time.monotonic() < end, f"not so after {limit:g} s"
-        time.sleep(0.1)

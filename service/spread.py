@@ -1,35 +1,45 @@
-"""Distribute cases over the cores of this machine, or over machines with Dask. Both yield lines as they are finished.
+"""Distribute tasks over the cores of this machine, or over machines with Dask. Both yield results as they are finished.
 
-If a worker process is killed (memory, a crash in compiled code), no case is lost: its case is started again, at most
-`TRIES` times. Cases that were running together when a worker was killed are repeated one by one, so that only the one
-at fault reaches the limit.
+If a worker process is killed (memory, a crash in compiled code), no task is lost: it is started again, at most `TRIES`
+times. Tasks that were running together when a worker was killed are repeated one by one, so that only the one at fault
+reaches the limit.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 from uuid import uuid4
 
-from upright.service.hidden_effects import trial
-from upright.service.hidden_effects.cases import Case
-from upright.service.hidden_effects.results.trials import failed
-from upright.service.hidden_effects.trial import Bench, Line
 from upright.telemetry.errors import UprightError
 
 TRIES = 3
-"""Maximum number of starts of a case whose worker dies."""
+"""Maximum number of starts of a task whose worker dies."""
 CONNECT_TIMEOUT = 10.0
 """Timeout for a Dask scheduler, s."""
 
-Detectable = Callable[[Case], Mapping[str, float]]
-"""The minimum detectable sizes for a case, from its reference case."""
-Spread = Callable[[Sequence[Case], Bench, Detectable], Iterator[Line]]
-"""Runs cases in any order."""
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Work(Generic[Task, Result]):
+    """What is done with each task: `run` in a worker, which has to be picklable, as its argument and its result; if it
+    raises an exception or its worker dies, the result is that of `failed`, with the reason."""
+
+    run: Callable[[Task], Result]
+    failed: Callable[[Task, str], Result]
+
+
+class Spread(Protocol):
+    """Runs tasks in any order, and yields their results as they come."""
+
+    def __call__(self, tasks: Sequence[Task], work: Work[Task, Result]) -> Iterator[Result]: ...
 
 
 class SchedulerError(UprightError):
@@ -43,56 +53,58 @@ class SchedulerError(UprightError):
 def processes(workers: int) -> Spread:
     """Distribute over `workers` processes of this machine."""
 
-    def spread(cases: Sequence[Case], bench: Bench, detectable: Detectable) -> Iterator[Line]:
-        suspects: list[Case] = []
-        waiting = list(reversed(cases))
+    def spread(tasks: Sequence[Task], work: Work[Task, Result]) -> Iterator[Result]:
+        suspects: list[Task] = []
+        waiting = list(reversed(tasks))
         while waiting:
-            yield from _together(waiting, suspects, workers, bench, detectable)
-        for case in suspects:
-            yield _alone(case, bench, detectable)
+            yield from _together(waiting, suspects, workers, work)
+        for task in suspects:
+            yield _alone(task, work)
 
     return spread
 
 
-def _together(
-    waiting: list[Case], suspects: list[Case], workers: int, bench: Bench, detectable: Detectable
-) -> Iterator[Line]:
-    """Run the `waiting` cases until all are finished or the pool breaks; then running cases become `suspects`."""
+def _together(waiting: list[Task], suspects: list[Task], workers: int, work: Work[Task, Result]) -> Iterator[Result]:
+    """Run the `waiting` tasks until all are finished or the pool breaks; then running tasks become `suspects`."""
     with _Pool(workers) as pool:
-        running: dict[Future[Line], Case] = {}
+        running: dict[Future[Result], Task] = {}
         broken = False
         while running or (waiting and not broken):
-            # At most one case per worker is submitted, so that only cases being run are affected when a worker dies.
+            # At most one task per worker is submitted, so that only tasks being run are affected when a worker dies.
             while waiting and len(running) < workers and not broken:
-                case = waiting.pop()
+                task = waiting.pop()
                 try:
-                    running[pool.submit(trial.run, case, bench, detectable(case))] = case
+                    running[pool.submit(work.run, task)] = task
                 except BrokenProcessPool:
-                    waiting.append(case)
+                    waiting.append(task)
                     broken = True
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
-                case = running.pop(future)
+                task = running.pop(future)
                 try:
                     yield future.result()
                 except BrokenProcessPool:
-                    suspects.append(case)
+                    suspects.append(task)
                     broken = True
-                except Exception as error:  # a failure of one case must not affect the others
-                    yield failed(case, bench, f"{type(error).__name__}: {error}")
+                except Exception as error:  # a failure of one task must not affect the others
+                    yield work.failed(task, _words(error))
 
 
-def _alone(case: Case, bench: Bench, detectable: Detectable) -> Line:
-    """Run a case whose worker may have died once before."""
+def _alone(task: Task, work: Work[Task, Result]) -> Result:
+    """Run a task whose worker may have died once before."""
     for _ in range(TRIES - 1):
         with _Pool(1) as pool:
             try:
-                return pool.submit(trial.run, case, bench, detectable(case)).result()
+                return pool.submit(work.run, task).result()
             except BrokenProcessPool:
                 continue
             except Exception as error:
-                return failed(case, bench, f"{type(error).__name__}: {error}")
-    return failed(case, bench, f"its worker process died {TRIES} times")
+                return work.failed(task, _words(error))
+    return work.failed(task, f"its worker process died {TRIES} times")
+
+
+def _words(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 class _Pool:
@@ -110,7 +122,7 @@ class _Pool:
         if kind is None:
             self._pool.shutdown()
             return
-        # Interrupted: running cases are not awaited. They are not in the file, so a later run repeats them.
+        # Interrupted: running tasks are not awaited. They have no result, so a later run repeats them.
         started = set(multiprocessing.active_children()) - self._before
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in started:
@@ -127,13 +139,13 @@ def machines(address: str) -> Spread:
     try:
         import distributed
     except ImportError as error:
-        remedy = "install it here and on every worker: pip install 'upright[bench]'."
+        remedy = "install it here and on every worker: pip install 'upright[fleet]'."
         raise SchedulerError(address, "Dask is not installed", remedy=remedy) from error
     # It has no type annotations.
     dask: Any = distributed
 
-    def spread(cases: Sequence[Case], bench: Bench, detectable: Detectable) -> Iterator[Line]:
-        if not cases:
+    def spread(tasks: Sequence[Task], work: Work[Task, Result]) -> Iterator[Result]:
+        if not tasks:
             return
         try:
             client = dask.Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
@@ -141,19 +153,13 @@ def machines(address: str) -> Spread:
             remedy = "start one with `dask scheduler`, and `dask worker ADDRESS` on each machine."
             raise SchedulerError(address, f"does not answer ({error})", remedy=remedy) from error
         with client:
-            futures = {
-                # Dask keeps keys permanently: a case that is run again needs a new one.
-                client.submit(trial.run, case, bench, detectable(case), key=f"{case.key}|{uuid4().hex}"): case
-                for case in cases
-            }
+            # Dask keeps keys permanently: a task that is run again needs a new one.
+            futures = {client.submit(work.run, task, key=f"task-{uuid4().hex}"): task for task in tasks}
             try:
                 for future in dask.as_completed(list(futures), loop=client.loop):
-                    # The scheduler itself restarts a case whose worker died, and gives up after three times.
+                    # The scheduler itself restarts a task whose worker died, and gives up after three times.
                     wrong = future.exception()
-                    if wrong is None:
-                        yield future.result()
-                    else:
-                        yield failed(futures[future], bench, f"{type(wrong).__name__}: {wrong}")
+                    yield future.result() if wrong is None else work.failed(futures[future], _words(wrong))
             finally:
                 client.cancel(list(futures))
 
