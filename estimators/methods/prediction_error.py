@@ -99,6 +99,13 @@ def result(fitted: Fit, began: float) -> Estimate:
     )
 
 
+def own_deviations(fitted: Fit) -> dict[str, float]:
+    """The standard deviation of each estimated parameter if all held ones were exact. By it the estimates from several
+    recordings of a machine scatter: what is held is wrong by the same amount in each."""
+    deviations = np.sqrt(np.diag(inverse(fitted.minimum.information)))
+    return {parameter.name: float(each) for parameter, each in zip(fitted.problem.parameters, deviations, strict=False)}
+
+
 def predicted_percent(fitted: Fit, horizon: float) -> dict[str, float]:
     """Percent of each output's variation that is predicted `horizon` s ahead, from the filtered state."""
     task, values = fitted.problem, fitted.values
