@@ -7,16 +7,17 @@ from pathlib import Path
 from secrets import token_hex
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Replace `path` by `text`, UTF-8, at once. A link there is replaced and not followed; what is no file, as a pipe
-    or a terminal, is written to. Raises OSError, and leaves the old file as it was."""
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Replace `path` by `content`, text as UTF-8, at once. A link there is replaced and not followed; what is no file,
+    as a pipe or a terminal, is written to. Raises OSError, and leaves the old file as it was."""
+    content = content.encode() if isinstance(content, str) else content
     if path.exists() and not path.is_file():
-        path.write_text(text, "utf-8")
+        path.write_bytes(content)
         return
     beside = path.with_name(f".{path.name}.{token_hex(4)}")
     try:
-        with beside.open("x", encoding="utf-8") as file:
-            file.write(text)
+        with beside.open("xb") as file:
+            file.write(content)
         os.replace(beside, path)
     finally:
         beside.unlink(missing_ok=True)

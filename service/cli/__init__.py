@@ -15,7 +15,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from upright.service.cli import batch, benchmark, commission, dashboard, design, doctor, live, multisine, talk, vehicle
+from upright.service.cli import (
+    batch,
+    benchmark,
+    commission,
+    dashboard,
+    design,
+    doctor,
+    fleet,
+    live,
+    multisine,
+    talk,
+    vehicle,
+)
 from upright.service.cli.models import shown as model
 from upright.telemetry.errors import UprightError
 
@@ -54,6 +66,7 @@ design.register(app)
 multisine.register(app)
 vehicle.register(app)
 model.register(app)
+fleet.register(app)
 benchmark.register(app)
 dashboard.register(app)
 doctor.register(app)

@@ -1,0 +1,175 @@
+"""What does a fleet cost beside its diagnoses, and do more workers help? `python benchmarks/fleet.py`
+
+Recordings of a pendulum on a motor, each with a seed of its own, in a folder a vehicle:
+
+    short   0.1 s, read, found too short, and said so: 20 ms of work each, so that everything else shows
+    whole   12 s at 200 Hz, diagnosed for one effect: about 2 s of work each
+
+Each set is diagnosed by `upright fleet` on 1 worker and on W, and by W processes that get all recordings at once and
+call the same diagnosis without a file, a progress or a thought of failure (multiprocessing's map). Workers are started
+before the clock is, in all cases by as many recordings as there are workers. It prints
+
+    cost        s of a worker for each recording
+    efficiency  time on 1 worker / (W x time on W workers); wanted: at least 0.9
+    overhead    time on W workers / time of the bare processes
+
+`--dask` measures W workers of a Dask cluster on this machine as well. On a machine that does something else, too, only
+the overhead means something.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pendulum_plant
+
+from upright.service.fleet.examine import Settings, Task, examine
+from upright.service.fleet.run import fleet
+from upright.service.fleet.store import Store
+from upright.service.spread import Result, Spread, Work, machines, processes
+from upright.service.spread import Task as Anything
+
+MODEL = """
+title = "Pendulum on a motor"
+
+[parameters]
+inertia = { unit = "kg m^2", value = 0.5, std = 0.1, lower = 0.0 }
+stiffness = { unit = "N m/rad", value = 9.8, std = 2.0 }
+motor_constant = { unit = "N m/V", value = 0.3, std = 0.02, estimated = false }
+
+[states.angle]
+unit = "rad"
+derivative = "rate"
+initial = "angle"
+initial_std = 0.1
+
+[states.rate]
+unit = "rad/s"
+derivative = "pivot_force / inertia"
+initial_std = 1.0
+process_noise = 0.01
+
+[inputs.voltage]
+unit = "V"
+hold = "zero_order"
+
+[outputs.angle]
+unit = "rad"
+expression = "angle"
+noise = 1e-4
+
+[joints.pivot]
+coordinate = "angle"
+rate = "rate"
+inertia = "inertia"
+load = "motor_constant * voltage - stiffness * sin(angle)"
+force_unit = "N m"
+coordinate_unit = "rad"
+force_scale = 5.0
+coordinate_scale = 0.5
+rate_scale = 1.0
+smooth_rate = 1e-3
+"""
+SETS = {"short": 0.1, "whole": 12.0}
+"""s of a recording, by the name of its set."""
+DRAWN = 20
+"""Recordings of a set that are simulated; the others are copies with other names."""
+
+
+def write(folder: Path, duration: float, count: int) -> Path:
+    """A folder with `count` recordings of ten vehicles."""
+    texts: list[str] = []
+    for number in range(count):
+        path = folder / f"vehicle_{number % 10}" / f"{number:05d}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if number < DRAWN:
+            texts.append(pendulum_plant.write(path, seed=number, duration=duration).read_text())
+        path.write_text(texts[number % DRAWN])
+    return folder
+
+
+def warm(spread: Spread, workers: int, began: list[float]) -> Spread:
+    """`spread`, whose clock begins once each worker has finished a recording: they import and compile for longer than
+    all short recordings take."""
+
+    def spreading(tasks: Sequence[Anything], work: Work[Anything, Result]) -> Iterator[Result]:
+        for number, row in enumerate(spread(tasks, work), 1):
+            yield row
+            if number == workers:
+                began.append(perf_counter())
+
+    return spreading
+
+
+def seconds_of(folder: Path, settings: Settings, spread: Spread, workers: int) -> float:
+    """s of `upright fleet` with its workers started, for all recordings but the first ones."""
+    began: list[float] = []
+    with tempfile.TemporaryDirectory() as out:
+        found = fleet(Store.of(str(folder)), Path(out, "fleet.parquet"), settings, warm(spread, workers, began))
+    assert not found.failures, found.failures[0].reason
+    return perf_counter() - began[0]
+
+
+def bare_seconds(folder: Path, settings: Settings, workers: int) -> float:
+    """s of bare processes for the same recordings."""
+    store = Store.of(str(folder))
+    work: Callable[[Task], object] = partial(examine, settings, store)
+    tasks: list[Task] = [(stored, None) for stored in store.recordings()]
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        pool.map(work, tasks[:workers], chunksize=1)
+        began = perf_counter()
+        pool.map(work, tasks[workers:], chunksize=1)
+        return perf_counter() - began
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[Spread]:
+    """A Dask cluster on this machine."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as started:
+        yield machines(started.scheduler_address)
+
+
+def main() -> None:
+    """Print a line for each set."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--short", type=int, default=1000, help="number of short recordings")
+    parser.add_argument("--whole", type=int, default=30, help="number of whole recordings")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--dask", action="store_true", help="measure a Dask cluster as well")
+    chosen = parser.parse_args()
+    workers: int = chosen.workers
+    with tempfile.TemporaryDirectory() as temporary:
+        model = Path(temporary, "pendulum.toml")
+        model.write_text(MODEL)
+        settings = Settings.of("monocab", str(model), effects=["viscous_friction"])
+        for name, count in (("short", chosen.short), ("whole", chosen.whole)):
+            if not count:
+                continue
+            folder = write(Path(temporary, name), SETS[name], count)
+            alone = seconds_of(folder, settings, processes(1), 1) / (count - 1)
+            together = seconds_of(folder, settings, processes(workers), workers) / (count - workers)
+            bare = bare_seconds(folder, settings, workers) / (count - workers)
+            print(f"{count} {name}: cost {alone:.4f} s", end="")
+            print(f", efficiency {alone / (workers * together):.2f}, overhead {together / bare:.2f}", flush=True)
+            if chosen.dask:
+                with cluster(workers) as spread:
+                    dask = seconds_of(folder, settings, spread, workers) / (count - workers)
+                print(f"  Dask: efficiency {alone / (workers * dask):.2f}, overhead {dask / bare:.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
