@@ -1,8 +1,8 @@
 """Distribute tasks over the cores of this machine, or over machines with Dask. Both yield results as they are finished.
 
 If a worker process is killed (memory, a crash in compiled code), no task is lost: it is started again, at most `TRIES`
-times. Tasks that were running together when a worker was killed are repeated one by one, so that only the one at fault
-reaches the limit.
+times. Tasks that were submitted together when a worker was killed are repeated one by one, so that only the one at
+fault reaches the limit.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from upright.telemetry.errors import UprightError
 
 TRIES = 3
 """Maximum number of starts of a task whose worker dies."""
+AHEAD = 2
+"""Tasks submitted for each worker: the one that runs, and the next one."""
 CONNECT_TIMEOUT = 10.0
 """Timeout for a Dask scheduler, s."""
 
@@ -65,13 +67,13 @@ def processes(workers: int) -> Spread:
 
 
 def _together(waiting: list[Task], suspects: list[Task], workers: int, work: Work[Task, Result]) -> Iterator[Result]:
-    """Run the `waiting` tasks until all are finished or the pool breaks; then running tasks become `suspects`."""
+    """Run the `waiting` tasks until all are finished or the pool breaks; then those submitted become `suspects`."""
     with _Pool(workers) as pool:
         running: dict[Future[Result], Task] = {}
         broken = False
         while running or (waiting and not broken):
-            # At most one task per worker is submitted, so that only tasks being run are affected when a worker dies.
-            while waiting and len(running) < workers and not broken:
+            # Few tasks are affected when a worker dies, and yet no worker waits for its next one.
+            while waiting and len(running) < AHEAD * workers and not broken:
                 task = waiting.pop()
                 try:
                     running[pool.submit(work.run, task)] = task

@@ -67,12 +67,13 @@ class Settings:
         own = Path(model) if model is not None and model.endswith(".toml") else None
         digest = _sha256(own or Path(file.path))
         name = own.name if own else model or file.vehicle.id
+        found = None if model is None else identified_model(model, file)
         files = sorted((effect, _sha256(path)) for effect, path in chosen.files.items())
         names = sorted(each.name for each in chosen.effects or ())
-        everything = (file.configuration_hash, name, digest, names, files, columns_as, assumed, seconds)
+        everything = (file.configuration_hash, digest, repr(found), names, files, columns_as, assumed, seconds)
         return cls(
             vehicle=file,
-            model=None if model is None else identified_model(model, file),
+            model=found,
             candidates=chosen.effects,
             user=user,
             seconds=seconds,

@@ -18,7 +18,7 @@ SHORT = {
     "designed_multisine.py": ("--runs", "2", "--records", "0", "--processes", "1"),
     "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
     "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),
-    "fleet.py": ("--short", "6", "--whole", "3"),
+    "fleet.py": ("--short", "10", "--whole", "5", "--rounds", "1"),
     "frame_loss.py": ("--hours", "1"),
     "importing.py": ("--runs", "1"),
     "live_estimators.py": ("parting", "--seeds", "1", "--situation", "nothing"),
