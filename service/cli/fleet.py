@@ -134,12 +134,14 @@ def fleet(
     else:
         from upright.service.fleet.report import summary
 
-        page.print(f"{summary(found)}. {found.skipped} were unchanged.", markup=False)
+        page.print(f"{summary(found)}. {found.skipped} were unchanged.", markup=False, soft_wrap=True)
         for trend, step in changed:
-            page.print(f"  {trend.change(step)}", markup=False)
+            page.print(f"  {trend.change(step)}", markup=False, soft_wrap=True)
         for row in found.failures:
-            page.print(f"Not read: {row.recording}: {row.reason}", markup=False)
-        page.print(f"\nResults: {out}" + (f"\nReport: {report}" if report is not None else ""), markup=False)
+            page.print(f"Not read: {row.recording}: {row.reason}", markup=False, soft_wrap=True)
+        page.print(
+            f"\nResults: {out}" + (f"\nReport: {report}" if report is not None else ""), markup=False, soft_wrap=True
+        )
     if found.missing:
         people.print(f"Interrupted: {found.missing} recordings are missing; the same command continues.")
         raise typer.Exit(130)

@@ -36,7 +36,8 @@ Task = tuple[Stored, Row | None]
 class Settings:
     """What is asked of each recording, as of `service.offline.diagnose.diagnosed`; `user` is said of its columns.
 
-    `name` and `sha256` are of the model's file; `everything` is a hash of all settings.
+    `machine` is what the model is of. `name` and `sha256` are of the model's file; `everything` is a hash of all
+    settings.
     """
 
     vehicle: VehicleFile
@@ -44,6 +45,7 @@ class Settings:
     candidates: tuple[Effect, ...] | None
     user: Said
     seconds: float | None
+    machine: str
     name: str
     sha256: str
     everything: str
@@ -77,6 +79,7 @@ class Settings:
             candidates=chosen.effects,
             user=user,
             seconds=seconds,
+            machine=name_of(to_be_completed(found, file), file),
             name=name,
             sha256=digest,
             everything=sha256(repr(everything).encode()).hexdigest(),
@@ -86,9 +89,10 @@ class Settings:
 def examine(settings: Settings, store: Store, task: Task) -> Row:
     """The row of a recording, with the reason if it cannot be read or diagnosed."""
     stored, before = task
-    began, digest, path = perf_counter(), "", Path()
+    began, digest, here = perf_counter(), "", stored.name
     try:
         with store.fetched(stored) as (path, digest):
+            here = str(path)
             if before is not None and before.sha256 == digest:
                 return replace(before, stamp=stored.stamp)
             row = _diagnosed(settings, stored, path)
@@ -96,7 +100,8 @@ def examine(settings: Settings, store: Store, task: Task) -> Row:
         row = failed(settings, task, str(error))
     except Exception as error:  # whatever is wrong with a recording is its result, and not that of the others
         row = failed(settings, task, f"{type(error).__name__}: {error}")
-    reason = row.reason.replace(str(path), stored.name)  # which may be a copy's
+    # The path may be that of a copy.
+    reason = row.reason.removeprefix(f"{here}: ").replace(here, stored.name)
     return replace(row, reason=reason, sha256=digest, seconds=perf_counter() - began)
 
 
@@ -108,7 +113,7 @@ def failed(settings: Settings, task: Task, reason: str) -> Row:
 def _beginning(settings: Settings, stored: Stored) -> Row:
     return Row(
         recording=stored.name,
-        vehicle=_folder(stored.name),
+        vehicle=_folder(stored.name) or settings.machine,
         model=settings.name,
         model_sha256=settings.sha256,
         version=version("upright"),
@@ -121,13 +126,13 @@ def _diagnosed(settings: Settings, stored: Stored, path: Path) -> Row:
     vehicle, model = settings.vehicle, settings.model
     needed = [to_be_completed(model, vehicle), *actuators_of(vehicle, model)]
     recordings = [each for each, _ in read_all(path, vehicle, needed, settings.user)]
-    answer = diagnosed(recordings, vehicle, model=model, candidates=settings.candidates, seconds=settings.seconds)
-    found = answer.found
+    found = diagnosed(recordings, vehicle, model=model, candidates=settings.candidates, seconds=settings.seconds).found
     stated = "" if is_can_log(path) else recordings[0].metadata.get("vehicle", "")
     began, by = _began(recordings[0], stored)
+    beginning = _beginning(settings, stored)
     return replace(
-        _beginning(settings, stored),
-        vehicle=stated or _folder(stored.name) or name_of(answer.model, vehicle),
+        beginning,
+        vehicle=stated or beginning.vehicle,
         began=began,
         began_by=by,
         duration=sum(each.duration for each in recordings),

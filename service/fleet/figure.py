@@ -44,6 +44,7 @@ def vehicle_figure(trends: Sequence[Trend], name: str) -> str:
 def _panel(axes: Axes, trend: Trend) -> None:
     factor, unit = shown(trend.unit)
     axes.margins(x=0.03)
+    axes.ticklabel_format(axis="y", useOffset=False)
     times = np.array([dates.date2num(point.began) for point in trend.points])
     values, stds = factor * np.array([[point.value, point.std] for point in trend.points]).T
     explained = np.array([point.verdict in EXPLAINED for point in trend.points])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -12,7 +13,7 @@ from time import perf_counter
 from upright.service.fleet import results
 from upright.service.fleet.examine import Settings, Task, examine, failed
 from upright.service.fleet.results import DONE, Row
-from upright.service.fleet.store import Store, Stored
+from upright.service.fleet.store import Store, Stored, StoreError
 from upright.service.spread import Spread, Work
 
 WRITING = 0.02
@@ -43,30 +44,37 @@ def fleet(
     only: str = "*",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Fleet:
-    """Diagnose the recordings of `store` that match `only`, and write a row for each to the Parquet file `out`.
+    """Diagnose the recordings of `store` that match `only`, and write a row for each to the Parquet file `out`, beside
+    those that it has of the others.
 
     A recording is skipped if it has a row there, made by these `settings` and this version of the program of the same
     bytes; one that failed is tried again. `progress` gets the number of finished recordings and of all. Ctrl-C ends the
     run with what is finished. Raises StoreError, ResultsError, SchedulerError, OSError.
     """
-    stored = store.recordings(only, besides=out)
+    stored = store.recordings(besides=out)
+    wanted = [each for each in stored if fnmatch(each.name, only)]
+    if not wanted:
+        raise StoreError(store.url, f"holds no recording that matches {only}", remedy="give another pattern: --only.")
     before = {row.recording: row for row in results.read(out) if _is_of(row, settings)} if out.exists() else {}
     rows = {each.name: before[each.name] for each in stored if _is_unchanged(each, before)}
-    skipped = len(rows)
-    tasks: list[Task] = [(each, before.get(each.name)) for each in stored if each.name not in rows]
+    tasks: list[Task] = [(each, before.get(each.name)) for each in wanted if each.name not in rows]
     work = Work(partial(examine, settings, store), partial(failed, settings))
     file = _File(out, stored, rows)
-    progress(skipped, len(stored))
+    skipped = done = len(wanted) - len(tasks)
+    progress(done, len(wanted))
     try:
         for row in spread(tasks, work):
             rows[row.recording] = row
             file.write_if_due()
-            progress(len(rows), len(stored))
+            done += 1
+            progress(done, len(wanted))
     except KeyboardInterrupt:
         pass
     finally:
-        file.write()
-    return Fleet(file.rows(), skipped, len(stored) - len(rows))
+        if done > skipped or not tasks:
+            file.write()
+    finished = tuple(rows[each.name] for each in wanted if each.name in rows)
+    return Fleet(finished, skipped, len(wanted) - done)
 
 
 class _File:
@@ -76,16 +84,13 @@ class _File:
         self._path, self._order, self._rows = path, order, rows
         self._due = 0.0
 
-    def rows(self) -> tuple[Row, ...]:
-        return tuple(self._rows[each.name] for each in self._order if each.name in self._rows)
-
     def write_if_due(self) -> None:
         if perf_counter() >= self._due:
             self.write()
 
     def write(self) -> None:
         began = perf_counter()
-        results.write(self._path, self.rows())
+        results.write(self._path, [self._rows[each.name] for each in self._order if each.name in self._rows])
         ended = perf_counter()
         self._due = ended + (ended - began) / WRITING
 

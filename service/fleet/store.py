@@ -6,11 +6,11 @@ hidden files, and the raw CAN log of a recording beside it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
-from fnmatch import fnmatch
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -19,6 +19,8 @@ from typing import Any
 from upright.service.offline.can_log import SUFFIXES as CAN_LOGS
 from upright.telemetry.errors import UprightError
 from upright.telemetry.formats.files import SUFFIXES
+from upright.telemetry.formats.rosbag2 import PACKED
+from upright.telemetry.formats.rosbag2 import SUFFIXES as BAG_SUFFIXES
 
 BAG = "metadata.yaml"
 """The file that each folder of a rosbag 2 has."""
@@ -72,14 +74,15 @@ class Store:
             raise StoreError(url, f"cannot be opened ({error})", remedy=remedy) from error
         return cls(url, files, str(root).rstrip("/"))
 
-    def recordings(self, only: str = "*", besides: Path | None = None) -> list[Stored]:
-        """All recordings, by name: those that match `only`, a pattern such as *.csv, and not the file `besides`.
+    def recordings(self, besides: Path | None = None) -> list[Stored]:
+        """All recordings, by name, without the file `besides`.
 
-        Raises StoreError if there is none, or if the folder cannot be listed.
+        Raises StoreError if the folder cannot be listed, or holds none.
         """
+        own = "" if besides is None else os.path.abspath(besides)
         try:
-            paths = sorted(path for path in self.files.find(self.root) if besides is None or not _is(path, besides))
-            found = [self._stored(name, files) for name, files in _grouped(self._names(paths)) if fnmatch(name, only)]
+            paths = {path.removeprefix(self.root).lstrip("/"): path for path in sorted(self.files.find(self.root))}
+            found = [self._stored(name, files) for name, files in _grouped(paths) if files != [own]]
         except Exception as error:  # each kind of store fails in its own way
             why = f"cannot be listed ({type(error).__name__}: {error})"
             remedy = "Check the path, its permissions, and the credentials of the object store."
@@ -87,27 +90,20 @@ class Store:
         if not found:
             remedy = f"Name a folder that holds files such as {', '.join((*SUFFIXES[:3], *CAN_LOGS[:1]))}."
             raise StoreError(self.url, "holds no recordings", remedy=remedy)
-        return found
+        return sorted(found, key=lambda each: each.name)
 
     @contextmanager
     def fetched(self, stored: Stored) -> Iterator[tuple[Path, str]]:
         """The path of a recording on this machine, for as long as it is needed, and the SHA-256 of its bytes."""
         if _is_local(self.files):
-            yield self._named(stored, Path(self.root)), _digest(map(Path, stored.files))
+            yield Path(self.root, stored.name), _digest(map(Path, stored.files))
             return
         with TemporaryDirectory(prefix="upright-fleet-") as folder:
-            here = [Path(folder, path.removeprefix(self.root).lstrip("/")) for path in stored.files]
-            for path, target in zip(stored.files, here, strict=True):
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(stored.content[path] if path in stored.content else self.files.cat_file(path))
-            yield self._named(stored, Path(folder)), _digest(here)
-
-    def _names(self, paths: Sequence[str]) -> dict[str, str]:
-        """Paths by their names below the root."""
-        return {path.removeprefix(self.root).lstrip("/"): path for path in paths}
-
-    def _named(self, stored: Stored, root: Path) -> Path:
-        return root / stored.name
+            copies = [Path(folder, path.removeprefix(self.root).lstrip("/")) for path in stored.files]
+            for path, copy in zip(stored.files, copies, strict=True):
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(stored.content[path] if path in stored.content else self.files.cat_file(path))
+            yield Path(folder, stored.name), _digest(copies)
 
     def _stored(self, name: str, paths: Sequence[str]) -> Stored:
         modified = None
@@ -119,29 +115,28 @@ class Store:
 
 
 def _grouped(paths: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Name and paths of each recording among files by name."""
-    bags = [f"{PurePosixPath(name).parent}/" for name in paths if PurePosixPath(name).name == BAG]
-    for bag in bags:
-        yield bag.rstrip("/"), [path for name, path in paths.items() if name.startswith(bag)]
+    """Name and paths of each recording among paths by name."""
+    bags: dict[str, list[str]] = {}
     for name, path in paths.items():
         pure = PurePosixPath(name)
+        folder = str(pure.parent)
         hidden = any(part.startswith(".") for part in pure.parts)
         raw = pure.suffix == ".log" and str(pure.with_suffix(".arrow")) in paths
-        known = pure.suffix.lower() in {*SUFFIXES, *CAN_LOGS}
-        if known and not hidden and not raw and not name.startswith(tuple(bags)):
+        if hidden or raw:
+            continue
+        if f"{folder}/{BAG}" in paths and PurePosixPath(name.removesuffix(PACKED)).suffix in BAG_SUFFIXES:
+            bags.setdefault(folder, []).append(path)
+        elif pure.suffix.lower() in {*SUFFIXES, *CAN_LOGS}:
             yield name, [path]
+    yield from bags.items()
 
 
-def _digest(paths: Iterator[Path] | Sequence[Path]) -> str:
+def _digest(paths: Iterable[Path]) -> str:
     """Of the bytes of all files together; of one file, its SHA-256."""
     total = sha256()
     for path in paths:
         total.update(path.read_bytes())
     return total.hexdigest()
-
-
-def _is(path: str, other: Path) -> bool:
-    return path == str(other.absolute())
 
 
 def _is_local(files: Any) -> bool:

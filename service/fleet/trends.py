@@ -52,7 +52,7 @@ class Trend:
         before, after = ((factor * value, factor * std) for value, std in (step.before, step.after))
         tail = "" if unit in ("", "1") else f" {unit}"
         return (
-            f"since {self.since(step):%Y-%m-%d}, {self.parameter} of {self.vehicle} {_how(before, after)}:"
+            f"Since {self.since(step):%Y-%m-%d}, {self.parameter} of {self.vehicle} {_how(before, after)}:"
             f" {with_error(*after)}{tail} after {with_error(*before)}{tail}, {p_text(step.p_value)}"
         )
 

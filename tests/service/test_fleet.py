@@ -23,6 +23,7 @@ import pytest
 from dask_scheduler import environment, until
 from typer.testing import CliRunner
 
+from upright.models.file.model_file import load_model
 from upright.service.cli import app
 from upright.service.fleet import results
 from upright.service.fleet.examine import Settings, examine
@@ -31,7 +32,7 @@ from upright.service.fleet.results import Parameter, Row
 from upright.service.fleet.run import Fleet, fleet
 from upright.service.fleet.store import Store, StoreError
 from upright.service.fleet.trends import changes, trends
-from upright.service.spread import machines, processes
+from upright.service.spread import SchedulerError, machines, processes
 from upright.telemetry.storage import load, save
 
 pytestmark = pytest.mark.timeout(300)
@@ -121,12 +122,15 @@ def test_recording_is_diagnosed_again_only_if_something_changed(made: Path, runs
     shutil.copy(made / "short.csv", runs / "c/1.csv")
     document = upright(made, runs, out, code=1)
     assert (document["skipped"], list(document["failed"])) == (1, ["a/2.csv"])
+    assert document["failed"]["a/2.csv"].startswith("holds no rows. Remedy:")
     after = by_name(out)
     assert after["a/1.csv"].stamp != before["a/1.csv"].stamp
     # Same bytes: it was read and not diagnosed, so the computing time is that of before, too.
     assert replace(after["a/1.csv"], stamp="") == replace(before["a/1.csv"], stamp="")
     assert after["c/1.csv"].verdict == "insufficient_data"
     assert upright(made, runs, out, "--only", "b/*")["skipped"] == 1
+    done = {name: row for name, row in after.items() if row.status == results.DONE}
+    assert by_name(out) == done, "the others keep their rows, and one that failed is tried again"
     assert upright(made, runs, out, "--only", "b/*", "--budget", "20")["skipped"] == 0
 
 
@@ -203,6 +207,19 @@ def test_dask_workers_give_the_same_rows(made: Path, runs: Path, tmp_path: Path,
     assert len(there.rows) == 4
 
 
+@pytest.mark.filterwarnings("default")
+def test_scheduler_that_does_not_answer_costs_no_result(
+    made: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[fleet]'")
+    monkeypatch.setattr("upright.service.spread.CONNECT_TIMEOUT", 0.5)
+    out = tmp_path / "fleet.parquet"
+    results.write(out, [Row("a/1.csv", settings="others")])
+    with pytest.raises(SchedulerError, match="dask scheduler"):
+        fleet(Store.of(str(runs)), out, settings(made), machines("tcp://127.0.0.1:1"))
+    assert results.read(out) == [Row("a/1.csv", settings="others")]
+
+
 def test_thousand_recordings_have_a_thousand_rows(made: Path, tmp_path: Path) -> None:
     """The smallest recordings there are, so that everything but the diagnosis counts."""
     folder, done = many(made, tmp_path / "runs", 1000), []
@@ -236,14 +253,22 @@ def test_what_a_recording_states_comes_before_its_folder_and_its_file(made: Path
 def test_only_recordings_are_listed(tmp_path: Path) -> None:
     for name in (
         "run.arrow", "run.log", "run.estimates.json", "other.log", ".hidden.csv", ".git/x.csv", "notes.md",
-        "bag/metadata.yaml", "bag/bag_0.mcap", "bag/bag_1.mcap", "day/RUN.CSV", "fleet.parquet",
+        "bag/metadata.yaml", "bag/bag_0.mcap", "bag/bag_1.mcap", "day/RUN.CSV", "day/metadata.yaml", "fleet.parquet",
     ):  # fmt: skip
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         path.touch()
     found = {each.name: each.files for each in Store.of(str(tmp_path)).recordings(besides=tmp_path / "fleet.parquet")}
     assert set(found) == {"run.arrow", "other.log", "bag", "day/RUN.CSV"}
-    assert len(found["bag"]) == 3
+    assert [Path(each).name for each in found["bag"]] == ["bag_0.mcap", "bag_1.mcap"]
+
+
+def test_example_makes_recordings_and_their_model(tmp_path: Path) -> None:
+    example = Path(__file__).resolve().parents[2] / "examples" / "pendulum_fleet.py"
+    subprocess.run([sys.executable, example, tmp_path, "1"], check=True, timeout=60)
+    found = [each.name for each in Store.of(str(tmp_path)).recordings()]
+    assert found == [f"pendulum_{number}/2026-03-02.csv" for number in range(1, 5)]
+    assert "coulomb_friction.torque" in load_model(tmp_path / "pendulum.toml").values
 
 
 def test_folder_that_cannot_be_used_is_refused_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,7 +317,7 @@ def test_change_is_found_in_the_right_vehicle_and_said_in_one_sentence() -> None
     assert len(found) == 20
     ((trend, step),) = changes(found)
     assert re.fullmatch(
-        r"since 2026-05-03, coulomb_friction\.torque of vehicle_7 is [12]\.\d+ ± 0\.\d+ times what it was before:"
+        r"Since 2026-05-03, coulomb_friction\.torque of vehicle_7 is [12]\.\d+ ± 0\.\d+ times what it was before:"
         r" (19|20)\.\d+ ± 0\.\d+ N m after \d+\.\d+ ± 0\.\d+ N m, p < 0\.001",
         trend.change(step),
     )
