@@ -207,6 +207,16 @@ def serve(
             help="Serve metrics for Prometheus at this port of this machine, at /metrics; 0: do not.",
         ),
     ] = 0,
+    foxglove: Annotated[
+        int,
+        typer.Option(
+            "--foxglove",
+            envvar="UPRIGHT_FOXGLOVE",
+            min=0,
+            max=65535,
+            help="Show the vehicle to Foxglove, Lichtblick and PlotJuggler at this port of this machine; 0: do not.",
+        ),
+    ] = 0,
     virtual: Annotated[
         bool,
         typer.Option("--virtual", help="Use a virtual vehicle instead of a bus, in real time."),
@@ -252,6 +262,7 @@ def serve(
         data=data or Path(os.environ.get("STATE_DIRECTORY", "recordings")),
         socket=socket or default_socket(file.vehicle.id),
         metrics_port=metrics,
+        foxglove_port=foxglove,
     )
 
     async def run() -> None:

@@ -74,8 +74,10 @@ def roll_filter(vehicle: VehicleFile) -> RollFilter:
     )
 
 
-def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str], metrics_port: int = 0) -> dict[str, Any]:
-    """The data about the vehicle that the observer process needs. `metrics_port` is 0 if nobody scrapes metrics."""
+def observer_hello(
+    vehicle: VehicleFile, data: Path, raw_log_buses: list[str], metrics_port: int = 0, foxglove_port: int = 0
+) -> dict[str, Any]:
+    """The data about the vehicle that the observer process needs. A port is 0 if nothing is served there."""
     return {
         "vehicle": vehicle.vehicle.id,
         "kind": vehicle.vehicle.kind,
@@ -88,6 +90,7 @@ def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str], m
         "data": str(data),
         "raw_log_buses": raw_log_buses,
         "metrics_port": metrics_port,
+        "foxglove_port": foxglove_port,
     }
 
 

@@ -55,14 +55,15 @@ CONFIRMATION = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """The daemon's interfaces: one or two bus addresses, the folder of the recordings, the control socket, and the port
-    for metrics on this computer (0: none)."""
+    """The daemon's interfaces: one or two bus addresses, the folder of the recordings, the control socket, and ports of
+    this computer for metrics and for Foxglove (0: none)."""
 
     drives_bus: str
     imu_bus: str
     data: Path
     socket: Path
     metrics_port: int = 0
+    foxglove_port: int = 0
 
 
 class Daemon:
@@ -90,7 +91,8 @@ class Daemon:
         self._status_until = 0.0
         self._clock = start_clock()
         self._clock_steps = 0
-        hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses(), places.metrics_port)
+        ports = (places.metrics_port, places.foxglove_port)
+        hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses(), *ports)
         hello["clock_base_ns"] = self._clock.base_ns
         self._turns = Turns()
         self.observer = ObserverClient(hello, lossless=lock_step, turns=self._turns)

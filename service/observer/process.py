@@ -1,4 +1,4 @@
-"""The observer process: recorder, online estimators, live diagnosis and MQTT, fed by the control process.
+"""The observer process: recorder, online estimators, live diagnosis, MQTT and viewers, fed by the control process.
 
     python -m upright.service.observer.process SOCKET_FD
 
@@ -42,6 +42,7 @@ from upright.telemetry.samples import CanFrame, Frame
 from upright.vehicles import registry
 
 if TYPE_CHECKING:
+    from upright.service.observer.foxglove_server import FoxgloveServer
     from upright.service.observer.metrics import Metrics
 
 NICENESS = 5
@@ -100,6 +101,7 @@ class Observer:
         self._new_prediction = partial(live_prediction, hello, self._channels)
         self._prediction: LivePrediction | None = None
         self._metrics: Metrics | None = None
+        self._foxglove: FoxgloveServer | None = None
         self._mqtt: MqttThread | None = None
         try:
             config = MqttConfig.of(hello["mqtt"], hello["vehicle"])
@@ -111,6 +113,19 @@ class Observer:
             self._report_error("mqtt", str(error))
         if hello["metrics_port"]:
             self._serve_metrics(hello)
+
+    def serve_foxglove(self, hello: Mapping[str, Any]) -> None:
+        """Show the vehicle to viewers. The threads of the server get the priority of the calling one."""
+        try:
+            from upright.service.observer.foxglove_server import FoxgloveServer  # its package is an extra
+
+            self._foxglove = FoxgloveServer(hello["foxglove_port"], hello)
+        except ImportError as error:
+            self._report_error("foxglove", f"nothing is shown in Foxglove: {error}; pip install 'upright[foxglove]'")
+        except RuntimeError as error:
+            place = f"port {hello['foxglove_port']} of this computer"
+            text = f"nothing is shown in Foxglove at {place}: {error}; give another one with --foxglove PORT"
+            self._report_error("foxglove", text)
 
     async def run(self) -> None:
         """Run until the pipe ends, or until an error outside of MQTT; in both cases the recording is completed."""
@@ -161,8 +176,10 @@ class Observer:
             self._estimators.update(self._recorder.add(frames))
             if self._recorder.complete:
                 self._close_recording()
+        if self._foxglove is not None:
+            self._foxglove.cycles(frames)
+        self._predict(frames)
         if self._mqtt is not None:
-            self._predict(frames)
             for batch in self._telemetry.add(frames):
                 self._mqtt.telemetry(batch)
 
@@ -172,6 +189,8 @@ class Observer:
         try:
             for segment in self._prediction.update(frames):
                 self._telemetry.prediction(segment)
+                if self._foxglove is not None:
+                    self._foxglove.prediction(segment)
         except (ArithmeticError, ValueError) as error:
             self._prediction = None
             self._report_error("prediction", f"nothing is predicted any more: {type(error).__name__}: {error}")
@@ -196,6 +215,8 @@ class Observer:
                 self._mqtt.publish("progress", message)
             case "health":
                 self._telemetry.health(message["health"])
+                if self._foxglove is not None:
+                    self._foxglove.health(message["health"])
             case "figures" if self._metrics is not None:
                 self._metrics.report(message["figures"])
             case "reply" if self._mqtt is not None:
@@ -306,7 +327,7 @@ class Observer:
         def work() -> LivePrediction | None:
             self._new_bank().join()
             with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimation works without it
-                return self._new_prediction() if self._mqtt is not None else None
+                return self._new_prediction() if self._watched else None
             return None
 
         self._prediction = await beside(work, "compile")
@@ -330,19 +351,26 @@ class Observer:
             self._report_error("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
 
     def _publish(self, estimates: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> None:
-        if self._mqtt is None:
+        if not self._watched:
             return
         if estimates:
             found = parameters(estimates)
-            self._mqtt.retain("parameters", found)
-            self._mqtt.retain("methods", methods(estimates))
+            if self._mqtt is not None:
+                self._mqtt.retain("parameters", found)
+                self._mqtt.retain("methods", methods(estimates))
             if self._prediction is not None:
                 self._prediction.use(found)
         if diagnosis is not None and diagnosis != self._published:
             self._published = diagnosis
-            self._mqtt.retain("diagnosis", diagnosis)
+            if self._mqtt is not None:
+                self._mqtt.retain("diagnosis", diagnosis)
             for text in self._news.of(diagnosis):
                 self._event("warning", "missing_effect", text)
+
+    @property
+    def _watched(self) -> bool:
+        """Whether anybody may look at results while they come."""
+        return self._mqtt is not None or self._foxglove is not None
 
     def _serve_metrics(self, hello: Mapping[str, Any]) -> None:
         from upright.service.observer.metrics import Metrics, MetricsServer  # an HTTP server, which most do not need
@@ -372,6 +400,8 @@ class Observer:
             EVENTS.info("%s: %s", state["mode"], state["reason"] or state["code"], extra={"fields": fields})
         if self._mqtt is not None:
             self._mqtt.retain(topic, document)
+        if self._foxglove is not None and topic == "state":
+            self._foxglove.state(document)
 
     def _event(self, severity: str, code: str, text: str) -> None:
         """Report an event to the journal and the broker."""
@@ -379,6 +409,8 @@ class Observer:
         EVENTS.log(LEVELS[severity], "%s", text, extra={"fields": fields})
         if self._mqtt is not None:
             self._mqtt.publish("event", {"severity": severity, "code": code, "text": text})
+        if self._foxglove is not None:
+            self._foxglove.event(severity, code, text)
 
     def _forward(self, command: dict[str, Any]) -> bool:
         """Called in the thread of MQTT: packets are atomic, so that two threads may send at the same time."""
@@ -400,6 +432,8 @@ async def observe(connection: socket.socket) -> None:
         log_as(hello["vehicle"])
         observer = Observer(connection, hello)
         os.nice(NICENESS)  # of this thread and later ones, but not of MQTT's, which forwards commands
+        if hello["foxglove_port"]:
+            observer.serve_foxglove(hello)
         await observer.run()
 
 
