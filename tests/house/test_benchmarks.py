@@ -22,6 +22,7 @@ SHORT = {
     "frame_loss.py": ("--hours", "1"),
     "importing.py": ("--runs", "1"),
     "live_estimators.py": ("parting", "--seeds", "1", "--situation", "nothing"),
+    "live_viewers.py": ("--rounds", "2", "--seconds", "1"),
     "monte_carlo.py": ("--runs", "2", "--duration", "15", "--method", "least_squares", "--processes", "1"),
     "passes.py": ("--vehicle", "monocab", "--seconds", "12"),
     "robot.py": ("--limit", "2"),
