@@ -58,7 +58,7 @@ def save_mcap(recording: Recording, path: Path) -> None:
     from mcap.writer import Writer
 
     properties = {
-        channel.name: {"type": ["number", "null"], "description": f"{channel.meaning} ({channel.unit})"}
+        channel.name: {"type": "number", "description": f"{channel.meaning} ({channel.unit})"}
         for channel in recording.channels
     }
     schema = json.dumps({"type": "object", "properties": properties}).encode()

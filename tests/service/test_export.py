@@ -60,6 +60,8 @@ def test_mcap_keeps_every_sample_at_its_nanosecond(recording: Recording, tmp_pat
     rows = [json.loads(message.data) for _, _, message in messages]
     assert [row["roll"] for row in rows] == recording["roll"].tolist()
     assert rows[7]["excitation"] is None
+    schema = json.loads(messages[0][0].data)
+    assert {each["type"] for each in schema["properties"].values()} == {"number"}, "Lichtblick reads no list of types"
 
 
 def test_missing_package_error_names_the_extra(
