@@ -18,7 +18,6 @@ import argparse
 import asyncio
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -28,9 +27,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
+from dashboard_parts import free_port
 from dashboard_watchers import interval
 from vehicle_at import at_rate
-from websockets.asyncio.client import connect
 
 from upright.service.control.daemon import Daemon, Places
 from upright.service.control.loop import Mode
@@ -38,6 +37,7 @@ from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.file import load
 
+HERE = Path(__file__).resolve().parent
 BUS = "virtual:benchmark-live-viewers"
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 CLOCKS = {"wall clock": time.perf_counter, "CPU time": time.thread_time}
@@ -49,26 +49,10 @@ Windows = list[dict[str, np.ndarray]]
 """By round and kind: the times (cycles, clocks) in s."""
 
 
-async def view(port: int) -> None:
-    """Subscribe to /vehicle, say so, and count its messages until the standard input ends."""
-    over = asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
-    address, protocols = f"ws://127.0.0.1:{port}", ["foxglove.sdk.v1"]
-    async with connect(address, subprotocols=protocols, max_queue=None) as server:  # type: ignore[arg-type]
-        while (message := json.loads(await server.recv()))["op"] != "advertise":
-            pass
-        (channel,) = (each["id"] for each in message["channels"] if each["topic"] == "/vehicle")
-        await server.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": channel, "channelId": channel}]}))
-        print("subscribed", flush=True)
-        stamps = []
-        while not over.done():
-            stamps.append(int.from_bytes((await server.recv())[5:13], "little"))
-    print(json.dumps({"messages": len(stamps), "seconds": (stamps[-1] - stamps[0]) * 1e-9}))
-
-
 @contextmanager
 def viewer(port: int) -> Iterator[list[float]]:
     """A viewer in a process of its own; afterwards the list has the messages that it got per second of data."""
-    command = ["nice", "-n", "19", sys.executable, __file__, "--view", str(port)]
+    command = ["nice", "-n", "19", sys.executable, str(HERE / "live_viewer.py"), str(port)]
     rate: list[float] = []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -76,11 +60,6 @@ def viewer(port: int) -> Iterator[list[float]]:
         yield rate
         found = json.loads(process.communicate()[0])
     rate.append((found["messages"] - 1) / found["seconds"])
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
 
 
 class Stopwatch:
@@ -152,12 +131,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=500.0, help="Hz")
     parser.add_argument("--rounds", type=int, default=12)
     parser.add_argument("--seconds", type=float, default=6.0, help="of each window")
-    parser.add_argument("--view", type=int, metavar="PORT", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.view:
-        asyncio.run(view(options.view))
-    else:
-        report(*asyncio.run(measure(options.rate, options.rounds, options.seconds, free_port())))
+    report(*asyncio.run(measure(options.rate, options.rounds, options.seconds, free_port())))
 
 
 if __name__ == "__main__":
