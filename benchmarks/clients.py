@@ -34,9 +34,9 @@ from turnaround import Monitor, answered, running
 from vehicle_at import at_rate
 
 from upright.drivers.bus import BusError
-from upright.service.control.api import ApiError, call
+from upright.service.control.clients.api import ApiError, call
+from upright.service.control.cycle.loop import Mode
 from upright.service.control.daemon import Daemon, Places
-from upright.service.control.loop import Mode
 from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.file import load

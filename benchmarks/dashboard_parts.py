@@ -18,7 +18,7 @@ from typing import Any
 import uvicorn
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from upright.service.control.api import ApiError, call
+from upright.service.control.clients.api import ApiError, call
 from upright.service.dashboard.app import Dashboard, Settings
 from upright.service.dashboard.guard import LIMITS
 from upright.vehicles.sections import VehicleFile

@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from upright.service.control.api import ApiError, call
+from upright.service.control.clients.api import ApiError, call
 
 BUS = "udp_multicast:239.74.163.77"
 UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]

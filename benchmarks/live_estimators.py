@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from upright.estimators.parting import partings
-from upright.service.observer.online_estimators import RECURSION, EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import RECURSION, EstimatorBank, online_estimators
 from upright.service.virtual.run import record
 from upright.simulation.config import SimulationConfig
 from upright.telemetry.recording import Recording

@@ -30,8 +30,8 @@ from dashboard_parts import free_port
 from dashboard_watchers import interval
 from vehicle_at import at_rate
 
+from upright.service.control.cycle.loop import Mode
 from upright.service.control.daemon import Daemon, Places
-from upright.service.control.loop import Mode
 from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.file import load

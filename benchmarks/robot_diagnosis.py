@@ -34,7 +34,7 @@ from typing import Any
 from upright.diagnosis.prediction.compare import compare
 from upright.estimators.stopwatch import stopwatch
 from upright.models.library import get
-from upright.service.offline.replay import live_diagnosis
+from upright.service.offline.inputs.replay import live_diagnosis
 from upright.service.virtual.run import record
 from upright.simulation.twsbr.hidden import TWSBR_HIDDEN
 from upright.simulation.twsbr.truth import TwsbrTruth

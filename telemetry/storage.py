@@ -1,7 +1,7 @@
 """Files of recordings, by their suffix: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv`
 (column names = channel names) are written; files of others are read, too (telemetry.formats, telemetry.tables).
 
-A raw `.log` needs the vehicle file to become a recording, see `service.offline.replay`.
+A raw `.log` needs the vehicle file to become a recording, see `service.offline.inputs.replay`.
 """
 
 from __future__ import annotations

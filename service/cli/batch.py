@@ -88,7 +88,7 @@ def identify(
     Ctrl-C ends the estimation and shows the results up to then.
     """
     from upright.service.offline.identify import identified
-    from upright.service.offline.machine import name_of
+    from upright.service.offline.inputs.machine import name_of
     from upright.service.offline.models import columns, identified_model
     from upright.service.offline.provenance import assumed, provenance
     from upright.telemetry.tables.mapping import said_of
@@ -150,7 +150,7 @@ def truths(options: list[str]) -> dict[str, float]:
 
 def replay(recordings: RecordingsArgument, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again, with bit-identical results."""
-    from upright.service.offline.replay import replay as run
+    from upright.service.offline.inputs.replay import replay as run
     from upright.vehicles.file import load
 
     file = load(vehicle)
@@ -182,8 +182,8 @@ def convert(
     read, and what was assumed is printed. If a logger began anew in it, the further parts are written beside the first,
     as NAME-2.
     """
-    from upright.service.offline.can_log import is_can_log
-    from upright.service.offline.replay import convert as run
+    from upright.service.offline.inputs.can_log import is_can_log
+    from upright.service.offline.inputs.replay import convert as run
     from upright.telemetry.tables.mapping import said_of
     from upright.vehicles.file import load
 

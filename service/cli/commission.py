@@ -86,7 +86,7 @@ def commission(
     """
     from upright.service.cli.talk import follow
     from upright.service.commission.guide import Guide
-    from upright.service.control import api
+    from upright.service.control.clients import api
     from upright.vehicles.file import load
 
     check_folder(report)
@@ -293,7 +293,7 @@ def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path) -> Any:
 
     from upright.service.cli.inputs import working
     from upright.service.control.daemon import Places
-    from upright.service.observer.online_estimators import online_estimators
+    from upright.service.observer.live.online_estimators import online_estimators
     from upright.service.virtual.daemon import daemon_beside
     from upright.service.virtual.vehicle import requested_disturbance
 

@@ -58,7 +58,7 @@ def compare(
     """
     from upright.service.cli.inputs import load_recordings, working
     from upright.service.offline.compare import compared
-    from upright.service.offline.machine import name_of
+    from upright.service.offline.inputs.machine import name_of
     from upright.service.offline.models import columns, compared_models
     from upright.service.offline.provenance import assumed, provenance
     from upright.service.pages.compare import print_comparisons

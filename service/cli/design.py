@@ -116,7 +116,7 @@ def _print(file: VehicleFile, read: Result, found: Designed) -> None:
 
 def _ask(request: dict[str, Any], vehicle: str, socket: Path | None) -> dict[str, Any]:
     """The daemon's answer. Exits with its exit code if it refuses."""
-    from upright.service.control import api
+    from upright.service.control.clients import api
     from upright.service.output import people
 
     answer = list(api.call([socket] if socket else api.socket_candidates(vehicle), request, timeout=30.0))[-1]

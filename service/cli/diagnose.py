@@ -90,7 +90,7 @@ def diagnose(
     from upright.diagnosis.diagnose import Verdict
     from upright.service.cli.inputs import load_recordings, share_done
     from upright.service.offline.diagnose import actuators_of, default_budget, diagnosed, report_paths, to_be_completed
-    from upright.service.offline.machine import name_of
+    from upright.service.offline.inputs.machine import name_of
     from upright.service.offline.models import Candidates, columns, written_columns
     from upright.service.offline.provenance import provenance
     from upright.telemetry.tables.mapping import said_of

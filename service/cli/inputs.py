@@ -38,9 +38,9 @@ def load_recordings(
     database: Path | None = None,
 ) -> list[Recording]:
     """The recordings in files of any kind, from `begin` to `end` s, for `models` (by default those of the vehicle), as
-    service.offline.read has them. What was assumed to read a table of another origin is printed on stderr, and so is
-    what is unusual."""
-    from upright.service.offline.read import read_all
+    service.offline.inputs.read has them. What was assumed to read a table of another origin is printed on stderr, and
+    so is what is unusual."""
+    from upright.service.offline.inputs.read import read_all
 
     found: list[Recording] = []
     for path in paths:

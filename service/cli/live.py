@@ -71,7 +71,7 @@ def demo(
     from upright.service.cli.talk import follow
     from upright.service.demo.figure import save_run
     from upright.service.demo.run import run_demo
-    from upright.service.observer.online_estimators import online_estimators
+    from upright.service.observer.live.online_estimators import online_estimators
     from upright.service.offline.models import compared_models, estimates_beside
     from upright.service.pages.compare import comparison_table
     from upright.service.virtual.vehicle import requested_disturbance
@@ -168,7 +168,7 @@ def simulate(
     """
     import threading
 
-    from upright.service.control.api import socket_candidates
+    from upright.service.control.clients.api import socket_candidates
     from upright.service.virtual import vehicle as virtual_vehicle
     from upright.service.virtual.passenger import passenger
     from upright.simulation.faults import parse_faults
@@ -239,7 +239,7 @@ def serve(
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
     from upright.service.bounded_log import bounded_log
-    from upright.service.control.api import default_socket
+    from upright.service.control.clients.api import default_socket
     from upright.service.control.daemon import Daemon, Places
     from upright.service.journal import log_as
     from upright.service.virtual.passenger import passenger

@@ -122,7 +122,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
 
 
 def _call(request: dict[str, Any], vehicle: str, socket: Path | None) -> Iterator[dict[str, Any]]:
-    from upright.service.control import api
+    from upright.service.control.clients import api
 
     timeout = None if request["verb"] == "experiment" else 30.0
     return api.call([socket] if socket else api.socket_candidates(vehicle), request, timeout=timeout)

@@ -28,7 +28,7 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
     """
     from upright.drivers.cia402 import eds
     from upright.service.control import assembly
-    from upright.service.control.sequence import plan
+    from upright.service.control.cycle.sequence import plan
     from upright.vehicles import registry
     from upright.vehicles.drives import drive_config
     from upright.vehicles.file import load

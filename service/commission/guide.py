@@ -25,7 +25,7 @@ from upright.service.command_line import UPRIGHT
 from upright.service.commission.evaluations.table import evaluation
 from upright.service.commission.evidence import Evidence, Found, Request
 from upright.service.commission.report import write_commissioning
-from upright.service.control import api
+from upright.service.control.clients import api
 from upright.service.whole_file import write_whole
 from upright.telemetry.errors import UprightError
 from upright.vehicles.commissioning import CommissioningError, Entry, State, Step, Steps, is_within, latest, steps_of

@@ -1,7 +1,7 @@
 """The daemon: opens the buses, sets up the drives, runs the control loop, answers the control socket.
 
 It starts disarmed, and after any fault it stays disarmed until a user runs `upright reset`. Everything here is slow and
-may block. The real-time part is `service.control.loop`, which the buses call.
+may block. The real-time part is `service.control.cycle.loop`, which the buses call.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.imu_format import check_format
 from upright.drivers.socketcan import start_clock
 from upright.service.control import assembly, realtime
-from upright.service.control.commands import Commands
+from upright.service.control.clients.commands import Commands
+from upright.service.control.clients.mqtt_replies import MqttReplies
+from upright.service.control.clients.server import ApiServer
+from upright.service.control.cycle.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
+from upright.service.control.cycle.readiness import drive_states
 from upright.service.control.health import HealthReports
-from upright.service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
-from upright.service.control.mqtt_replies import MqttReplies
 from upright.service.control.notify import Notifier
-from upright.service.control.readiness import drive_states
-from upright.service.control.server import ApiServer
 from upright.service.observer.client import ObserverClient
 from upright.service.turns import Turns
 from upright.telemetry.errors import UprightError
@@ -330,7 +330,7 @@ class Daemon:
             self.observer.figures(self._figures(buses))
 
     def _figures(self, buses: list[dict[str, Any]]) -> dict[str, Any]:
-        """What `service.observer.metrics` makes its text of."""
+        """What `service.observer.viewers.metrics` makes its text of."""
         return {
             "modes": list(Mode),
             "mode": self.loop.mode,

@@ -15,9 +15,9 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from upright.service.control import api
+from upright.service.control.clients import api
+from upright.service.control.cycle.loop import Mode
 from upright.service.control.daemon import Daemon, Places
-from upright.service.control.loop import Mode
 from upright.service.mqtt.embedded_broker import USER, EmbeddedBroker
 from upright.service.output import live_estimates, missing_effects, page, people
 from upright.service.virtual.passenger import carried

@@ -22,7 +22,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-from upright.service.control import api, assembly
+from upright.service.control import assembly
+from upright.service.control.clients import api
 from upright.service.doctor.facts import (
     UNLIMITED,
     Access,
@@ -40,7 +41,7 @@ from upright.service.doctor.facts import (
     Vehicle,
 )
 from upright.service.mqtt.client import MqttConfig, MqttConfigError
-from upright.service.observer.storage_check import obstacle
+from upright.service.observer.recording.storage_check import obstacle
 from upright.telemetry.errors import UprightError
 from upright.vehicles.file import load, shipped, shipped_file
 from upright.vehicles.sections import VehicleFile

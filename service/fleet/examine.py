@@ -17,11 +17,11 @@ from upright.models.model import Model
 from upright.service.fleet import results
 from upright.service.fleet.results import FAILED, Row
 from upright.service.fleet.store import Store, Stored
-from upright.service.offline.can_log import is_can_log
 from upright.service.offline.diagnose import actuators_of, diagnosed, to_be_completed
-from upright.service.offline.machine import name_of
+from upright.service.offline.inputs.can_log import is_can_log
+from upright.service.offline.inputs.machine import name_of
+from upright.service.offline.inputs.read import read_all
 from upright.service.offline.models import Candidates, columns, identified_model
-from upright.service.offline.read import read_all
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.telemetry.tables.mapping import Said, said_of

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from upright.service.offline.can_log import SUFFIXES as CAN_LOGS
+from upright.service.offline.inputs.can_log import SUFFIXES as CAN_LOGS
 from upright.telemetry.errors import UprightError
 from upright.telemetry.formats.files import SUFFIXES
 from upright.telemetry.formats.rosbag2 import PACKED

@@ -1,7 +1,7 @@
 """The client of the observer in the control process: starts it, exchanges messages with it, and never waits for it.
 
-On SocketCAN a separate process logs the raw frames with its own sockets (`service.observer.raw_log`). It is started
-here, too, so that the log continues if the observer, or this process, ends.
+On SocketCAN a separate process logs the raw frames with its own sockets (`service.observer.recording.raw_log`). It is
+started here, too, so that the log continues if the observer, or this process, ends.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from upright.service.observer import link
 from upright.service.observer.pipe import ObserverPipe, PipeStatistics
-from upright.service.observer.raw_log_client import RawLogProcess
+from upright.service.observer.recording.raw_log_client import RawLogProcess
 from upright.service.turns import Turns
 from upright.telemetry.samples import CanFrame, Frame
 from upright.vehicles import registry

@@ -32,18 +32,18 @@ from upright.service.mqtt.payloads import TelemetryBatches, methods, parameters
 from upright.service.mqtt.thread import MqttThread
 from upright.service.observer import link
 from upright.service.observer.cpus import leave_to_control
-from upright.service.observer.live_prediction import LivePrediction, live_prediction
-from upright.service.observer.news import News
-from upright.service.observer.online_estimators import EstimatorBank, online_estimators
-from upright.service.observer.recorder import Recorder
-from upright.service.observer.storage_check import obstacle
+from upright.service.observer.live.live_prediction import LivePrediction, live_prediction
+from upright.service.observer.live.news import News
+from upright.service.observer.live.online_estimators import EstimatorBank, online_estimators
+from upright.service.observer.recording.recorder import Recorder
+from upright.service.observer.recording.storage_check import obstacle
 from upright.telemetry.errors import UprightError
 from upright.telemetry.samples import CanFrame, Frame
 from upright.vehicles import registry
 
 if TYPE_CHECKING:
-    from upright.service.observer.foxglove_server import FoxgloveServer
-    from upright.service.observer.metrics import Metrics
+    from upright.service.observer.viewers.foxglove_server import FoxgloveServer
+    from upright.service.observer.viewers.metrics import Metrics
 
 NICENESS = 5
 
@@ -117,7 +117,7 @@ class Observer:
     def serve_foxglove(self, hello: Mapping[str, Any]) -> None:
         """Show the vehicle to viewers. The threads of the server get the priority of the calling one."""
         try:
-            from upright.service.observer.foxglove_server import FoxgloveServer  # its package is an extra
+            from upright.service.observer.viewers.foxglove_server import FoxgloveServer  # its package is an extra
 
             self._foxglove = FoxgloveServer(hello["foxglove_port"], hello)
         except ImportError as error:
@@ -373,7 +373,10 @@ class Observer:
         return self._mqtt is not None or self._foxglove is not None
 
     def _serve_metrics(self, hello: Mapping[str, Any]) -> None:
-        from upright.service.observer.metrics import Metrics, MetricsServer  # an HTTP server, which most do not need
+        from upright.service.observer.viewers.metrics import (  # an HTTP server, which most do not need
+            Metrics,
+            MetricsServer,
+        )
 
         self._metrics = Metrics(hello["vehicle"], hello["version"])
         try:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from upright.diagnosis.prediction.compare import Comparison, compare
 from upright.models.model import Model
-from upright.service.offline.machine import loops_of, support_of
-from upright.service.offline.question import asked_of
+from upright.service.offline.inputs.machine import loops_of, support_of
+from upright.service.offline.inputs.question import asked_of
 from upright.telemetry.recording import Recording
 from upright.vehicles.load import with_load
 from upright.vehicles.sections import VehicleFile

@@ -23,11 +23,11 @@ from upright.estimators.budget import Budget, OutOfTime
 from upright.estimators.contract import EstimationError
 from upright.models.effect import Effect
 from upright.models.model import Model
-from upright.service.offline.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.question import asked_of
+from upright.service.offline.inputs.replay import live_diagnosis
 from upright.service.offline.models import identified_model
 from upright.service.offline.next_experiment import suggest_for
-from upright.service.offline.question import asked_of
-from upright.service.offline.replay import live_diagnosis
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry

@@ -14,9 +14,9 @@ from upright.diagnosis.report import Provenance, write_identification
 from upright.estimators.identify.run import Progress, identify
 from upright.estimators.identify.subject import NOTHING_OWN
 from upright.models.model import Model
-from upright.service.offline.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.question import asked_of
 from upright.service.offline.models import identified_model
-from upright.service.offline.question import asked_of
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry

@@ -17,7 +17,7 @@ from upright.models.file.model_file import load_model, read
 from upright.models.file.own_effects import load_effect
 from upright.models.model import Model
 from upright.models.parts import ModelError
-from upright.service.offline.machine import is_of
+from upright.service.offline.inputs.machine import is_of
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.tables.mapping import Source, columns_of
 from upright.vehicles.registry import nominal_model

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from upright.service.control import api
+from upright.service.control.clients import api
 from upright.simulation.load import Load, Tilt
 from upright.vehicles.sections import LoadSection, TiltSection
 

@@ -1,6 +1,6 @@
 """Measurement files of ASAM MDF 3 and 4 (asammdf, the extra `upright[mf4]`): a table for each channel group.
 
-A bus log in this format is read by service.offline.can_log.
+A bus log in this format is read by service.offline.inputs.can_log.
 """
 
 from __future__ import annotations

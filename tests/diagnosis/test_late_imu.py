@@ -25,7 +25,7 @@ from upright.service.hidden_effects.cases import Case
 from upright.service.hidden_effects.disturbances import drawn_for
 from upright.service.hidden_effects.trial import Bench, disturbance_of
 from upright.service.hidden_effects.vehicles import drawn
-from upright.service.offline import replay
+from upright.service.offline.inputs import replay
 from upright.service.virtual.run import record
 from upright.simulation.bus.imu_node import SensorPath
 from upright.simulation.config import ImuNode, SimulationConfig

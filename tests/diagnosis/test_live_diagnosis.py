@@ -27,8 +27,8 @@ from upright.models.effects.catalogue import CATALOGUE
 from upright.models.parts import ModelError
 from upright.models.random.disturbance import disturbed
 from upright.models.segment import Segment
-from upright.service.observer.news import News
-from upright.service.observer.online_estimators import online_estimators
+from upright.service.observer.live.news import News
+from upright.service.observer.live.online_estimators import online_estimators
 from upright.service.output import missing_effects
 from upright.service.virtual.run import BOOT_TIME, record
 from upright.simulation.vehicle import START_NS

@@ -37,7 +37,7 @@ from upright.models.model import Model
 from upright.models.parts import Disturbance, ModelError
 from upright.models.parts import NarrowBand as KnownBand
 from upright.models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
-from upright.service.offline.replay import load as load_recording
+from upright.service.offline.inputs.replay import load as load_recording
 from upright.service.virtual.run import record
 from upright.simulation.monocab.hidden import MONOCAB
 from upright.simulation.narrow_band import NarrowBand, NarrowBandTorque

@@ -30,8 +30,8 @@ from upright.models.file.document import ModelFile
 from upright.models.file.model_file import read, write
 from upright.models.model import Model
 from upright.service.cli import app
-from upright.service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
-from upright.service.offline.replay import live_diagnosis
+from upright.service.observer.live.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from upright.service.offline.inputs.replay import live_diagnosis
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import save
 from upright.vehicles.file import load

@@ -15,7 +15,7 @@ from pendulum_plant import Missing, nothing, write
 from upright.estimators.readings.question import question
 from upright.models.file.model_file import load_model
 from upright.models.model import Model
-from upright.service.offline.wanted import wanted
+from upright.service.offline.inputs.wanted import wanted
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load
 from upright.telemetry.tables.mapping import said_of

@@ -34,7 +34,7 @@ from upright.estimators.recursive.prediction_error import (
 from upright.models import library
 from upright.models.model import Model
 from upright.models.parts import Hold
-from upright.service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import STARTING, EstimatorBank, online_estimators
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import Frame

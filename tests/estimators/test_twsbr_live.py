@@ -15,8 +15,14 @@ from upright.estimators.identify.run import identify
 from upright.estimators.methods.prediction_error import prediction_error
 from upright.estimators.recursive.prediction_error import RecursivePredictionError
 from upright.models.expressions import number
-from upright.service.observer.online_estimators import RECURSION, SIMULATION, STARTING, EstimatorBank, online_estimators
-from upright.service.offline.replay import replay
+from upright.service.observer.live.online_estimators import (
+    RECURSION,
+    SIMULATION,
+    STARTING,
+    EstimatorBank,
+    online_estimators,
+)
+from upright.service.offline.inputs.replay import replay
 from upright.simulation.twsbr.truth import TwsbrTruth
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import Frame

@@ -15,7 +15,7 @@ import rig as shared
 from rig import Rig
 
 from upright.service.commission.guide import Guide
-from upright.service.observer.online_estimators import online_estimators
+from upright.service.observer.live.online_estimators import online_estimators
 from upright.vehicles.commissioning import Entry, State, is_within
 from upright.vehicles.file import load
 

@@ -19,8 +19,8 @@ import pytest
 import rig as shared
 from rig import HEARTBEAT_TIMEOUT, UPRIGHT, Rig
 
-from upright.service.control.api import ApiError
-from upright.service.observer.online_estimators import online_estimators
+from upright.service.control.clients.api import ApiError
+from upright.service.observer.live.online_estimators import online_estimators
 from upright.telemetry.candump import CandumpReader
 from upright.telemetry.storage import load as load_recording
 from upright.vehicles.file import load

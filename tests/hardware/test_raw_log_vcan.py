@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from observer_harness import until
 
-from upright.service.observer.raw_log_client import RawLogProcess
+from upright.service.observer.recording.raw_log_client import RawLogProcess
 from upright.telemetry.candump import CandumpReader
 from upright.telemetry.samples import CanFrame
 
@@ -221,7 +221,7 @@ async def test_killed_process_leaves_complete_lines_and_its_end_is_reported(
 
 MASTER = """
 import subprocess, sys, time
-command = [sys.executable, "-m", "upright.service.observer.raw_log", "vcan0"]
+command = [sys.executable, "-m", "upright.service.observer.recording.raw_log", "vcan0"]
 log = subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0)
 log.stdin.write(b"open 0 {path}\\n")
 print(log.pid, flush=True)

@@ -14,10 +14,18 @@ from pathlib import Path
 
 import pytest
 
-from upright.service.control import server as server_module
-from upright.service.control.api import ApiError, ExitCode, Message, call, default_socket, result, socket_candidates
-from upright.service.control.peers import FolderError, Peer, peer_of
-from upright.service.control.server import ApiServer
+from upright.service.control.clients import server as server_module
+from upright.service.control.clients.api import (
+    ApiError,
+    ExitCode,
+    Message,
+    call,
+    default_socket,
+    result,
+    socket_candidates,
+)
+from upright.service.control.clients.peers import FolderError, Peer, peer_of
+from upright.service.control.clients.server import ApiServer
 
 
 async def answer(request: Message) -> AsyncIterator[Message]:

@@ -6,7 +6,7 @@ import pytest
 
 from upright.drivers.error_frames import ErrorClass
 from upright.service.control import assembly
-from upright.service.control.bus_watch import MANY, BusWatch
+from upright.service.control.cycle.bus_watch import MANY, BusWatch
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.file import load
 

@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 from dialects import ANGLE
 
-from upright.service.offline.can_log import is_can_log
-from upright.service.offline.replay import load as load_recording
+from upright.service.offline.inputs.can_log import is_can_log
+from upright.service.offline.inputs.replay import load as load_recording
 from upright.service.virtual.run import ClosedLoop
 from upright.telemetry.candump import format_frame, format_frames
 from upright.telemetry.errors import RecordingError

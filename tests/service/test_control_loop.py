@@ -11,8 +11,8 @@ from thorough import of_many
 
 from upright.drivers.cia402.states import State
 from upright.service.control import assembly
-from upright.service.control.loop import Mode
-from upright.service.control.rows import rows_from_frames
+from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.rows import rows_from_frames
 from upright.vehicles import registry
 from upright.vehicles.file import VehicleFile, load
 from upright.vehicles.monocab.channels import CHANNELS as MONOCAB

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from upright.service.control import api
+from upright.service.control.clients import api
 
 UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}

@@ -18,7 +18,7 @@ from upright.models.control_robustness import Known
 from upright.models.parts import ModelError
 from upright.service.cli import app
 from upright.service.control.adopted import FILE, Adopted, AdoptedError, History
-from upright.service.control.commands import Commands
+from upright.service.control.clients.commands import Commands
 from upright.service.offline.design import Designed, ResultError, designed, read_result
 from upright.vehicles import registry
 from upright.vehicles.file import load

@@ -16,8 +16,8 @@ import pytest
 from typer.testing import CliRunner
 
 from upright.service.cli import app
-from upright.service.control import api
-from upright.service.control.server import ApiServer
+from upright.service.control.clients import api
+from upright.service.control.clients.server import ApiServer
 from upright.service.doctor import collect
 from upright.service.doctor.checks import CHECKS, Finding, Status, examine, worst
 from upright.service.doctor.collect import Subject

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from upright.service.offline.replay import CONVERTED, convert
+from upright.service.offline.inputs.replay import CONVERTED, convert
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load

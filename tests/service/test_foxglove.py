@@ -26,11 +26,11 @@ from served import free_port
 
 from upright.service.observer import link
 from upright.service.observer.client import ObserverClient
-from upright.service.observer.foxglove_server import BACKLOG, STATE
-from upright.service.observer.live_prediction import live_prediction
-from upright.service.observer.online_estimators import online_estimators
+from upright.service.observer.live.live_prediction import live_prediction
+from upright.service.observer.live.online_estimators import online_estimators
 from upright.service.observer.process import Observer
-from upright.service.observer.ros_message import MessageType
+from upright.service.observer.viewers.foxglove_server import BACKLOG, STATE
+from upright.service.observer.viewers.ros_message import MessageType
 from upright.telemetry.formats.ros_messages import ros2
 from upright.telemetry.samples import Frame
 from upright.telemetry.storage import load
@@ -303,7 +303,7 @@ async def test_taken_port_is_an_event_with_the_remedy_and_cycles_are_recorded(tm
 
 
 async def test_missing_package_is_an_event_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "upright.service.observer.foxglove_server")
+    monkeypatch.delitem(sys.modules, "upright.service.observer.viewers.foxglove_server")
     monkeypatch.setitem(sys.modules, "foxglove", None)
     own, other = link.pair()
     with own, other:

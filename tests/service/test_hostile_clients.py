@@ -20,11 +20,10 @@ import pytest
 
 from upright.service import turns as turns_module
 from upright.service.control import daemon as daemon_module
-from upright.service.control import server as server_module
-from upright.service.control.api import ExitCode, Message, result
-from upright.service.control.daemon import STATUS_AGE, Daemon, Places
-from upright.service.control.peers import Peer
-from upright.service.control.server import (
+from upright.service.control.clients import server as server_module
+from upright.service.control.clients.api import ExitCode, Message, result
+from upright.service.control.clients.peers import Peer
+from upright.service.control.clients.server import (
     MAX_LINE,
     MOST_CONNECTIONS,
     MOST_OF_A_PROCESS,
@@ -32,6 +31,7 @@ from upright.service.control.server import (
     ApiServer,
     parse,
 )
+from upright.service.control.daemon import STATUS_AGE, Daemon, Places
 from upright.service.turns import MOST_A_TURN, Turns
 from upright.vehicles.file import load
 

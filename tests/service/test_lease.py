@@ -18,10 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from serving import connect, serving, until
 
-from upright.service.control.api import RENEWAL_PERIOD, call
+from upright.service.control.clients.api import RENEWAL_PERIOD, call
+from upright.service.control.clients.lease import LOOK, Lease
+from upright.service.control.cycle.loop import Mode
 from upright.service.control.daemon import Daemon
-from upright.service.control.lease import LOOK, Lease
-from upright.service.control.loop import Mode
 from upright.telemetry.storage import load
 
 LENGTH = 0.3

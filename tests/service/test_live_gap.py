@@ -11,7 +11,7 @@ import pytest
 import virtual_records
 
 from upright.service.mqtt.topics import Gap
-from upright.service.observer.live_prediction import LivePrediction
+from upright.service.observer.live.live_prediction import LivePrediction
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
 from upright.vehicles.file import load

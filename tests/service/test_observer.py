@@ -20,10 +20,10 @@ from observer_harness import VEHICLE, cycles, hello, record, until
 
 from upright.diagnosis.live.live import LiveDiagnosis
 from upright.service.observer.client import ObserverClient
-from upright.service.observer.online_estimators import EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import EstimatorBank, online_estimators
 from upright.service.observer.pipe import MOST_WAITING
 from upright.service.observer.process import Observer, link
-from upright.service.offline import replay
+from upright.service.offline.inputs import replay
 from upright.telemetry.candump import CandumpReader
 from upright.telemetry.samples import CanFrame, Frame
 from upright.telemetry.storage import load

@@ -25,12 +25,13 @@ from observer_harness import hello
 from served import free_port
 from serving import steady
 
-from upright.service.control import api, realtime
-from upright.service.control.timing import TIMES, Histogram, Timing
+from upright.service.control import realtime
+from upright.service.control.clients import api
+from upright.service.control.cycle.timing import TIMES, Histogram, Timing
 from upright.service.observer import link
 from upright.service.observer.cpus import VARIABLE, leave_to_control, processors
-from upright.service.observer.metrics import Metrics, MetricsServer
 from upright.service.observer.process import Observer
+from upright.service.observer.viewers.metrics import Metrics, MetricsServer
 from upright.service.virtual.run import ClosedLoop
 
 UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]

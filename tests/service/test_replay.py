@@ -9,8 +9,8 @@ import pytest
 from closed_loop import ClosedLoop
 from scipy.io import loadmat
 
-from upright.service.observer.recorder import Recorder
-from upright.service.offline import replay
+from upright.service.observer.recording.recorder import Recorder
+from upright.service.offline.inputs import replay
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from upright.drivers.imu import ImuHealth
-from upright.service.control.safety import DriveObservation, Observation, Safety
+from upright.service.control.cycle.safety import DriveObservation, Observation, Safety
 from upright.vehicles.bounds import OK, Code, Reaction
 from upright.vehicles.cube.kind import CubeCode
 from upright.vehicles.file import load

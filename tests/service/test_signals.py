@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from upright.service.control.api import ApiError, call
+from upright.service.control.clients.api import ApiError, call
 
 SERVE = "from upright.service.cli import main; main()"
 

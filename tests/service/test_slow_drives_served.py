@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from upright.service.control import api
+from upright.service.control.clients import api
+from upright.service.control.cycle.loop import Mode
 from upright.service.control.daemon import Places
-from upright.service.control.loop import Mode
 from upright.service.virtual.daemon import daemon_beside
 from upright.simulation.config import SimulationConfig
 from upright.simulation.drive_habits import DriveHabits

@@ -12,9 +12,9 @@ import pytest
 from closed_loop import ClosedLoop
 from observer_harness import cycles, hello, until
 
-from upright.service.observer import storage_check
 from upright.service.observer.client import ObserverClient
-from upright.service.observer.storage_check import PROBE_FILE, obstacle
+from upright.service.observer.recording import storage_check
+from upright.service.observer.recording.storage_check import PROBE_FILE, obstacle
 
 
 def test_folder_that_can_be_written_is_made_and_left_empty(tmp_path: Path) -> None:

@@ -26,13 +26,14 @@ from upright.drivers.cia402.drive import Drive
 from upright.drivers.cia402.states import State
 from upright.models.gravity import GRAVITY
 from upright.service.cli import app
-from upright.service.control import api, assembly
+from upright.service.control import assembly
+from upright.service.control.clients import api
+from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.rows import rows_from_frames
+from upright.service.control.cycle.safety import Observation, Safety
 from upright.service.control.daemon import Daemon, Places
-from upright.service.control.loop import Mode
-from upright.service.control.rows import rows_from_frames
-from upright.service.control.safety import Observation, Safety
-from upright.service.observer.online_estimators import online_estimators
-from upright.service.offline import replay
+from upright.service.observer.live.online_estimators import online_estimators
+from upright.service.offline.inputs import replay
 from upright.service.virtual import vehicle as virtual_vehicle
 from upright.service.virtual.run import VirtualRunError, record
 from upright.simulation.registry import UnknownEffectError

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from serving import connect, serving, until
 
-from upright.service.control.api import RENEWAL_PERIOD, ExitCode
-from upright.service.control.loop import Mode
+from upright.service.control.clients.api import RENEWAL_PERIOD, ExitCode
+from upright.service.control.cycle.loop import Mode
 from upright.telemetry.storage import load
 
 pytestmark = pytest.mark.timeout(120)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from upright.service.control import assembly
-from upright.service.observer.recorder import Recorder
+from upright.service.observer.recording.recorder import Recorder
 from upright.service.virtual.run import ClosedLoop, VirtualRunError, record
 from upright.simulation.monocab.truth import PlantTruth
 from upright.simulation.registry import UnknownEffectError

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from upright.service.control import api
-from upright.service.control.loop import Mode
+from upright.service.control.clients import api
+from upright.service.control.cycle.loop import Mode
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 UPRIGHT = Path(sys.executable).parent / "upright"

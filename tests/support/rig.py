@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from upright.service.control.api import ApiError, call
+from upright.service.control.clients.api import ApiError, call
 
 UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from upright.service.control.api import ApiError, call
+from upright.service.control.clients.api import ApiError, call
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LEASE = 1.0

@@ -15,9 +15,9 @@ from closed_loop import ClosedLoop
 from pydantic import ValidationError
 
 from upright.diagnosis.prediction.compare import Comparison, compare
-from upright.service.control.api import ExitCode, Message, result
-from upright.service.control.server import ApiServer
-from upright.service.observer.online_estimators import LOADED, online_estimators
+from upright.service.control.clients.api import ExitCode, Message, result
+from upright.service.control.clients.server import ApiServer
+from upright.service.observer.live.online_estimators import LOADED, online_estimators
 from upright.service.virtual.passenger import Passenger
 from upright.service.virtual.run import record
 from upright.simulation.load import Load, LoadTorque

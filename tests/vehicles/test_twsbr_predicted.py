@@ -24,8 +24,8 @@ from upright.models.library import get
 from upright.models.model import Model
 from upright.models.parts import ModelError
 from upright.service.cli import app
-from upright.service.control.api import ExitCode, Message, result
-from upright.service.control.server import ApiServer
+from upright.service.control.clients.api import ExitCode, Message, result
+from upright.service.control.clients.server import ApiServer
 from upright.service.offline.next_experiment import experiments_of, separating, suggest_for
 from upright.service.virtual.run import record
 from upright.simulation.twsbr.truth import TwsbrTruth

@@ -242,7 +242,7 @@ def _support(vehicle: str | None) -> float | None:
 
 
 def _load(path: Path, vehicle: str | None, file: ModelFile) -> Recording:
-    from upright.service.offline.read import read
+    from upright.service.offline.inputs.read import read
     from upright.telemetry.tables.mapping import Said, columns_of
     from upright.vehicles.file import load
 

@@ -7,7 +7,7 @@ from math import degrees
 import numpy as np
 
 from upright.service.commission.evidence import Evidence, Found
-from upright.service.offline.replay import load
+from upright.service.offline.inputs.replay import load
 from upright.vehicles.commissioning import Number
 from upright.vehicles.phases import Phase
 

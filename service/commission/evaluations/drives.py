@@ -11,7 +11,7 @@ import numpy as np
 
 from upright.estimators.identify.table import METHODS, Domain
 from upright.service.commission.evidence import Evidence, Found
-from upright.service.offline.replay import load
+from upright.service.offline.inputs.replay import load
 from upright.service.whole_file import write_whole
 from upright.telemetry.candump import CandumpReader
 from upright.vehicles import registry

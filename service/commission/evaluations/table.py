@@ -45,6 +45,6 @@ def evaluation(name: str, kind: str) -> Evaluation:
 
 
 def _own(measure: Any, evidence: Evidence) -> Found:
-    from upright.service.offline.replay import load
+    from upright.service.offline.inputs.replay import load
 
     return Found(measure(evidence.vehicle, [load(each, evidence.vehicle) for each in evidence.recordings]))

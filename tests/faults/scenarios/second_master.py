@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from faults.bench import TO_DRIVE, Bench
 from faults.fault import CONTROL_LOST, MONOCAB, NOT_FOLLOWED, STRANGER, Fault, Wanted, harmless, stopped
-from upright.service.control.loop import HEARTBEAT, OPERATIONAL, SYNC
+from upright.service.control.cycle.loop import HEARTBEAT, OPERATIONAL, SYNC
 from upright.simulation.bus.drive_node import VirtualDrive
 from upright.vehicles.bounds import Code
 

@@ -22,7 +22,7 @@ from upright.models.file.own_effects import load_effect
 from upright.service.control import assembly
 from upright.service.control.adopted import History
 from upright.service.control.commissioned import Record
-from upright.service.control.sequence import plan
+from upright.service.control.cycle.sequence import plan
 from upright.service.offline.design import read_result
 from upright.vehicles import registry
 from upright.vehicles.file import load

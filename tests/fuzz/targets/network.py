@@ -23,10 +23,10 @@ from fuzz.mutation import mutated
 from fuzz.target import Refused, Target, Trial
 from fuzz.targets.bus import OpenBench
 from fuzz.targets.recordings import written
-from upright.service.control.commands import Commands
-from upright.service.control.loop import Mode
-from upright.service.control.mqtt_replies import MqttReplies
-from upright.service.control.server import ApiServer
+from upright.service.control.clients.commands import Commands
+from upright.service.control.clients.mqtt_replies import MqttReplies
+from upright.service.control.clients.server import ApiServer
+from upright.service.control.cycle.loop import Mode
 from upright.service.dashboard.app import Dashboard, Settings
 from upright.service.dashboard.jobs import Job, Jobs
 from upright.service.mqtt.command_inbox import CommandInbox

@@ -37,7 +37,7 @@ from upright.estimators.contract import EstimationError
 from upright.estimators.data.segments import segments
 from upright.estimators.identify.table import experiment_of
 from upright.service.dashboard.recordings import Folder
-from upright.service.offline import replay
+from upright.service.offline.inputs import replay
 from upright.service.virtual.run import ClosedLoop
 from upright.telemetry import storage
 from upright.telemetry.candump import CandumpReader, format_frame

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from upright.service.offline.read import read
+from upright.service.offline.inputs.read import read
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording as Recorded
 from upright.telemetry.recording import describe

@@ -18,12 +18,12 @@ from upright.models.model import Model as GreyBox
 from upright.service.offline.compare import compared
 from upright.service.offline.diagnose import Diagnosed, diagnosed, report_paths
 from upright.service.offline.identify import Identified, identified
-from upright.service.offline.machine import name_of, vehicle_of
+from upright.service.offline.inputs.machine import name_of, vehicle_of
+from upright.service.offline.inputs.replay import with_age
 from upright.service.offline.model_files import identified as identified_file
 from upright.service.offline.model_files import now, revised, save, started, with_effect, without_effect
 from upright.service.offline.models import Candidates, columns, compared_models, identified_model
 from upright.service.offline.provenance import provenance
-from upright.service.offline.replay import with_age
 from upright.service.pages.compare import print_comparisons
 from upright.service.pages.diagnose import print_diagnosis
 from upright.service.pages.identify import print_methods

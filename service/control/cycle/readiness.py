@@ -10,8 +10,8 @@ from upright.drivers.cia402.states import REMOTE, VOLTAGE_ENABLED, State
 from upright.drivers.foreign import REMEDY, ForeignTraffic
 from upright.drivers.imu import ImuHealth
 from upright.drivers.vehicle_io import VehicleIo
-from upright.service.control.safety import DriveObservation, Observation
-from upright.service.control.sequence import AT_REST_ANGLE, AT_REST_RATE
+from upright.service.control.cycle.safety import DriveObservation, Observation
+from upright.service.control.cycle.sequence import AT_REST_ANGLE, AT_REST_RATE
 from upright.vehicles.contract import Kind, Lean, Measurement
 from upright.vehicles.sections import VehicleFile
 

@@ -2,7 +2,7 @@
 
 Every half second of free motion is predicted separately: the model starts from the measured state and is then simulated
 without correction, driven by the measured inputs. The innovations, and the gap between the model and the vehicle, are
-calculated in addition, with a Kalman gain (service.observer.live_gap). The parameters are the nominal ones until
+calculated in addition, with a Kalman gain (service.observer.live.live_gap). The parameters are the nominal ones until
 estimates are given.
 """
 
@@ -20,7 +20,7 @@ from upright.estimators.identify.run import with_values
 from upright.estimators.recursive.frame_chunks import Chunk, FrameChunks
 from upright.estimators.recursive.prediction_error import at_rest
 from upright.estimators.recursive.predictor import measured_state
-from upright.service.observer.live_gap import LiveGap, opened
+from upright.service.observer.live.live_gap import LiveGap, opened
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.samples import Frame
 from upright.vehicles.registry import nominal_model

@@ -1,7 +1,7 @@
 """CAN logs: candump (can-utils), ASC and BLF (Vector), TRC (PEAK), MF4 bus logging (ASAM) and CSV (python-can).
 
-Which one a file is, is found by its content. `service.offline.can_readers` reads those of other tools, with python-can
-and, for MF4, asammdf (the extra `upright[mf4]`). A line that is no frame is left out and counted.
+Which one a file is, is found by its content. `service.offline.inputs.can_readers` reads those of other tools, with
+python-can and, for MF4, asammdf (the extra `upright[mf4]`). A line that is no frame is left out and counted.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def open_log(path: Path) -> CanLog:
         raise _unreadable(path, error) from error
     if kind in ("", CANDUMP):
         return CandumpReader(path)
-    from upright.service.offline.can_readers import READERS
+    from upright.service.offline.inputs.can_readers import READERS
 
     return MessageLog(path, READERS[kind])
 
@@ -78,7 +78,7 @@ def is_can_log(path: Path) -> bool:
     except OSError:
         kind = ""
     if kind == "mf4":
-        from upright.service.offline.can_readers import has_bus_events
+        from upright.service.offline.inputs.can_readers import has_bus_events
 
         with _quiet():
             return has_bus_events(path)

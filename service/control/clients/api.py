@@ -4,9 +4,9 @@ A request is `{"verb": ..., arguments}`. The answer is a stream of lines, each w
 `estimates`), that ends with one of type `result` with `exit_code` and, if it failed, `code` and `text`.
 The client that runs an experiment holds a lease on it and sends `{"verb": "renew"}` on the same connection
 periodically. If the connection ends or no renewal comes in time, the experiment ends.
-The other end is `service.control.server`.
+The other end is `service.control.clients.server`.
 Write access to the socket allows moving the vehicle: only its owner and group have read and write permission, and the
-credentials of whoever has connected are checked (`service.control.peers`).
+credentials of whoever has connected are checked (`service.control.clients.peers`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from upright.service.control.peers import FolderError, check_own
+from upright.service.control.clients.peers import FolderError, check_own
 from upright.telemetry.errors import UprightError
 
 Message = dict[str, Any]

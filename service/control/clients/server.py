@@ -1,11 +1,11 @@
-"""The daemon's end of the control socket (`service.control.api`).
+"""The daemon's end of the control socket (`service.control.clients.api`).
 
 It shares a process with the control loop, which no client may delay. So it does everything in turns, after a control
 cycle (`service.turns`), in bounded pieces: some connections accepted, one line of a connection read, one piece of an
 answer written, and one request of all begun. A client that wants more waits in the kernel. Connections are limited, of
 a process and altogether, and nobody is waited for: neither for the rest of a request nor for the reading of an answer.
 Write access to the socket allows moving the vehicle: only its owner and group have read and write permission, and the
-credentials of whoever has connected are checked (`service.control.peers`).
+credentials of whoever has connected are checked (`service.control.clients.peers`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from contextlib import aclosing, suppress
 from itertools import count
 from pathlib import Path
 
-from upright.service.control.api import GONE, ApiError, ExitCode, Message, result, temporary
-from upright.service.control.peers import check_own, names, peer_of
+from upright.service.control.clients.api import GONE, ApiError, ExitCode, Message, result, temporary
+from upright.service.control.clients.peers import check_own, names, peer_of
 from upright.service.turns import HANG_UP, MOST_A_TURN, READ, WRITE, Turns
 from upright.telemetry.documents import from_json
 from upright.telemetry.errors import UprightError

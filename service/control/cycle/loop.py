@@ -27,14 +27,14 @@ from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.imu_consistency import ImuConsistency
 from upright.estimators.roll_filter import RollState
 from upright.service.control import assembly
-from upright.service.control.bus_watch import BusWatch
+from upright.service.control.cycle.bus_watch import BusWatch
+from upright.service.control.cycle.readiness import heartbeat_timeout, interlocks, observation, observe, strangers
+from upright.service.control.cycle.rows import row
+from upright.service.control.cycle.safety import Safety
+from upright.service.control.cycle.sequence import ExperimentRun, plan
+from upright.service.control.cycle.stop_check import CYCLES, Stop, StopCheck
+from upright.service.control.cycle.timing import Timing
 from upright.service.control.notify import Notifier
-from upright.service.control.readiness import heartbeat_timeout, interlocks, observation, observe, strangers
-from upright.service.control.rows import row
-from upright.service.control.safety import Safety
-from upright.service.control.sequence import ExperimentRun, plan
-from upright.service.control.stop_check import CYCLES, Stop, StopCheck
-from upright.service.control.timing import Timing
 from upright.telemetry.errors import UprightError
 from upright.telemetry.samples import CanFrame, Frame, ImuSample
 from upright.vehicles import registry

@@ -1,6 +1,6 @@
 """The raw log process: writes all frames on one or two SocketCAN interfaces to candump files, on request.
 
-    python -m upright.service.observer.raw_log can0 [can1] [--base NS]
+    python -m upright.service.observer.recording.raw_log can0 [can1] [--base NS]
 
 Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each closed file and each error, a line
 of JSON is written to stdout. Times are those of the control process, whose clock has the base NS
@@ -24,8 +24,8 @@ from typing import IO
 
 from upright.drivers.frame_clock import FrameClock
 from upright.drivers.socketcan import start_clock
-from upright.service.observer.can_tap import CanTap
 from upright.service.observer.cpus import leave_to_control
+from upright.service.observer.recording.can_tap import CanTap
 from upright.telemetry.candump import format_frames
 from upright.telemetry.samples import CanFrame
 

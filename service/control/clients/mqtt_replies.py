@@ -11,8 +11,8 @@ from collections.abc import Callable
 from contextlib import aclosing
 from typing import Any
 
-from upright.service.control.api import ExitCode, Message, result
-from upright.service.control.commands import Commands
+from upright.service.control.clients.api import ExitCode, Message, result
+from upright.service.control.clients.commands import Commands
 from upright.telemetry.errors import UprightError
 
 MOST_RUNNING = 16

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from upright.service.offline.can_log import CanLog
+from upright.service.offline.inputs.can_log import CanLog
 from upright.telemetry.channels import Channel, ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording

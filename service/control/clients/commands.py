@@ -1,8 +1,8 @@
 """The command layer: answers all requests to a running daemon, from the terminal, the page or MQTT.
 
-A request is `{"verb", "client", arguments}`; the transport (`service.control.api`, `service.mqtt.client`) guarantees
-`client`. An experiment needs a lease (`service.control.lease`), which its client renews. If the client releases it,
-disconnects or does not renew it, the experiment ends in order. Every client may stop it.
+A request is `{"verb", "client", arguments}`; the transport (`service.control.clients.api`, `service.mqtt.client`)
+guarantees `client`. An experiment needs a lease (`service.control.clients.lease`), which its client renews. If the
+client releases it, disconnects or does not renew it, the experiment ends in order. Every client may stop it.
 
     experiment {name}   start one, and take its lease
     renew, release      for the holder of the lease
@@ -26,13 +26,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from upright.service.control.adopted import VEHICLE_FILE, Adopted, History
-from upright.service.control.api import GONE, ExitCode, Message, result
+from upright.service.control.clients.api import GONE, ExitCode, Message, result
+from upright.service.control.clients.lease import LOOK, Lease
 from upright.service.control.commissioned import Record
-from upright.service.control.lease import LOOK, Lease
-from upright.service.control.loop import ControlLoop, Mode
-from upright.service.control.sequence import ExperimentRun
+from upright.service.control.cycle.loop import ControlLoop, Mode
+from upright.service.control.cycle.sequence import ExperimentRun
 from upright.service.observer.client import ObserverClient
-from upright.service.observer.news import News
+from upright.service.observer.live.news import News
 from upright.vehicles.commissioning import Entry
 from upright.vehicles.phases import Phase
 from upright.vehicles.sections import VehicleFile

@@ -24,7 +24,7 @@ import foxglove
 from foxglove.channels import LogChannel
 from foxglove.messages import Log, LogLevel, Timestamp
 
-from upright.service.observer.ros_message import NANOSECONDS, MessageType
+from upright.service.observer.viewers.ros_message import NANOSECONDS, MessageType
 from upright.telemetry.samples import Frame
 from upright.vehicles import registry
 
@@ -105,7 +105,7 @@ class FoxgloveServer:
                 self._vehicle.publish(frame.timestamp_ns, frame.values)
 
     def prediction(self, segment: Mapping[str, Any]) -> None:
-        """Show a segment of `service.observer.live_prediction`."""
+        """Show a segment of `service.observer.live.live_prediction`."""
         if not self._prediction.watched:
             return
         pairs = zip(segment["values"].values(), segment["innovations"].values(), strict=True)

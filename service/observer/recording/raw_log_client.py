@@ -1,4 +1,4 @@
-"""The client of the raw log in the control process: starts `service.observer.raw_log`, sends orders, reads reports."""
+"""The client of the raw log in the control process: starts `raw_log` beside it, sends orders, reads reports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class RawLogProcess:
         self._stopping = False
         self._heard = b""
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "upright.service.observer.raw_log", *channels, *base],
+            [sys.executable, "-P", "-m", "upright.service.observer.recording.raw_log", *channels, *base],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

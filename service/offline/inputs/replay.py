@@ -17,11 +17,12 @@ import numpy as np
 from upright.estimators.budget import UNLIMITED, Budget
 from upright.models.model import Model
 from upright.service.control import assembly
-from upright.service.control.rows import rows_from_frames
-from upright.service.observer.online_estimators import EstimatorBank, online_estimators
-from upright.service.offline import can_log, export
-from upright.service.offline.machine import is_of, refuse_foreign
-from upright.service.offline.wanted import wanted
+from upright.service.control.cycle.rows import rows_from_frames
+from upright.service.observer.live.online_estimators import EstimatorBank, online_estimators
+from upright.service.offline import export
+from upright.service.offline.inputs import can_log
+from upright.service.offline.inputs.machine import is_of, refuse_foreign
+from upright.service.offline.inputs.wanted import wanted
 from upright.telemetry import storage
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.errors import RecordingError
@@ -65,7 +66,7 @@ def load_all(
         RecordingError: the file cannot be read, contains no frames of this vehicle, or is of another machine.
     """
     if database is not None and models is None:
-        from upright.service.offline.dbc import signals
+        from upright.service.offline.inputs.dbc import signals
 
         return (signals(can_log.open_log(path), database, path),)
     is_log = can_log.is_can_log(path)
@@ -75,7 +76,7 @@ def load_all(
     said = replace(user, columns={**columns_of(vehicle.columns), **user.columns}) if own else user
     needed = wanted(models or (), vehicle if own else None)
     if is_log and database is not None:
-        from upright.service.offline.dbc import signals, table_of
+        from upright.service.offline.inputs.dbc import signals, table_of
 
         found = recordings([table_of(signals(can_log.open_log(path), database, path))], needed, said)
     else:

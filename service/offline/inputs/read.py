@@ -56,7 +56,7 @@ def _loaded(
     path: Path, vehicle: VehicleFile | None, models: Sequence[Model] | None, user: Said, database: Path | None
 ) -> Sequence[Recording]:
     if vehicle is not None:
-        from upright.service.offline.replay import load_all
+        from upright.service.offline.inputs.replay import load_all
 
         return load_all(path, vehicle, models, user, database)
     if _is_can_log(path):
@@ -64,13 +64,13 @@ def _loaded(
         raise RecordingError(str(path), "", "is a CAN log, which only a vehicle file explains", remedy=remedy)
     if not models:
         return storage.load_all(path, user=user)
-    from upright.service.offline.wanted import wanted
+    from upright.service.offline.inputs.wanted import wanted
 
     return storage.load_all(path, wanted(models), user)
 
 
 def _is_can_log(path: Path) -> bool:
-    from upright.service.offline.can_log import is_can_log
+    from upright.service.offline.inputs.can_log import is_can_log
 
     return is_can_log(path)
 
@@ -80,7 +80,7 @@ def _fall(recording: Recording, vehicle: VehicleFile | None, models: Sequence[Mo
     if vehicle is None:
         return ""
     from upright.estimators.data.segments import falls_at
-    from upright.service.offline.machine import is_of
+    from upright.service.offline.inputs.machine import is_of
     from upright.vehicles.registry import nominal_model
 
     if models is not None and not any(is_of(each, vehicle) for each in models):

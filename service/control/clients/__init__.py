@@ -1,0 +1,1 @@
+"""Requests: the control socket (`server`), who may ask (`peers`, `lease`), and what is asked (`commands`)."""
