@@ -268,6 +268,6 @@ def test_nearest_limit_is_the_one_of_which_most_is_used() -> None:
 
 
 def test_every_code_is_in_the_reference() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "faults.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "faults.md").read_text()
     codes: list[str] = [*Code, *MonocabCode, *TwsbrCode, *CubeCode]
     assert [code for code in codes if code != Code.OK and f"`{code}`" not in page] == []

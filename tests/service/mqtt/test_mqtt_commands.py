@@ -32,7 +32,7 @@ from upright.service.mqtt.topics import ARGUMENTS, TOPICS, Parameter, schemas
 from upright.service.observer.client import ObserverClient
 from upright.telemetry.samples import Frame
 
-REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"
+REFERENCE = Path(__file__).resolve().parents[3] / "docs" / "reference"
 NOW = 1_800_000_000.0
 
 

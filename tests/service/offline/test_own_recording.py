@@ -29,7 +29,7 @@ from upright.telemetry.recording import Recording
 from upright.telemetry.samples import CanFrame
 from upright.telemetry.storage import load, load_all, save
 
-MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
+MANUAL = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "write-your-own-model.md"
 QUICK = ("--method", "prediction_error")
 Rows = list[list[str]]
 

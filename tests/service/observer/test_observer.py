@@ -332,7 +332,7 @@ asyncio.run(main())
 
 
 def test_when_control_is_killed_the_recording_is_completed_and_the_observer_ends(tmp_path: Path) -> None:
-    script = MASTER.format(tests=str(Path(__file__).parents[1] / "support"), data=str(tmp_path))
+    script = MASTER.format(tests=str(Path(__file__).parents[2] / "support"), data=str(tmp_path))
     master = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert master.stdout is not None
     observer = int(master.stdout.readline())
