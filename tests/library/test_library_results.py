@@ -225,7 +225,8 @@ class TestProgress:
         kept = tmp_path / "repaired.toml"
         kept.write_text("title = 'before'\n")
         script = (
-            "import sys, upright\n"
+            "import signal, sys, upright\n"
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored under a shell's background job
             f"recording = upright.load({str(folder / 'run.csv')!r})\n"
             f"found = upright.diagnose(recording, {str(folder / 'pendulum.toml')!r},\n"
             "    progress=lambda text, share: print(text, flush=True))\n"
