@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import math
 
-from scipy.stats import chi2
-
 from upright.estimators.contract import ParameterEstimate
+from upright.estimators.tails import chi2_sf
 
 LEVEL = 0.01
 """Probability of naming an effect when nothing is missing, and of calling a parameter needed that is not."""
@@ -33,7 +32,7 @@ STRONG = math.log(ODDS)
 
 def by_chance(log_ratio: float, count: int) -> float:
     """p-value of `log_ratio`, the rise of the log-likelihood (nats) by `count` further parameters, one at least."""
-    return float(chi2.sf(2.0 * log_ratio, max(count, 1)))
+    return float(chi2_sf(2.0 * log_ratio, max(count, 1)))
 
 
 def beyond_chance(log_ratio: float, count: int, tries: int = 1) -> bool:

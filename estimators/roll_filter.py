@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from filterpy.kalman import KalmanFilter
 
 from upright.telemetry.samples import ImuSample, Vector3
 
@@ -110,6 +109,8 @@ class RollFilter:
 
     def reset(self) -> None:
         """Forget everything: the next sample restarts the filter."""
+        from filterpy.kalman import KalmanFilter  # half a second of imports, which a filter alone needs
+
         self._kalman = KalmanFilter(dim_x=6, dim_z=3)
         self._kalman.inv = _inverse
         self._kalman.P = np.diag([INITIAL_TILT_STD**2] * 3 + [INITIAL_BIAS_STD**2] * 3)

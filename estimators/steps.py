@@ -23,7 +23,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import t
+
+from upright.estimators.tails import t_sf
 
 Array = NDArray[np.float64]
 
@@ -107,7 +108,7 @@ def _p_values(value: Array, std: Array, places: NDArray[np.int_]) -> Array:
     parts = np.stack((~after, after), axis=1)
     found = _means(value, std, parts)
     statistic = np.abs(np.diff(found.mean)[:, 0]) / np.sqrt(found.variance.sum(axis=-1))
-    return np.asarray(2.0 * t.sf(statistic, found.freedom))
+    return np.asarray(2.0 * t_sf(statistic, found.freedom))
 
 
 @dataclass(frozen=True, slots=True)

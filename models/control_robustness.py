@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from upright.models.control_design import (
     ControlDesignError,
@@ -127,7 +127,7 @@ class Estimated:
         size = len(self.names)
         squares, axes = np.linalg.eigh(self.covariance)
         axes = axes * np.sqrt(np.maximum(squares, 0.0))
-        radius = float(np.sqrt(chi2.ppf(REGION, size)))
+        radius = float(np.sqrt(2.0 * gammaincinv(0.5 * size, REGION)))  # quantile of chi-square
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=size))) / np.sqrt(size)
         random = np.random.default_rng(1).standard_normal((self.draws, size))
         least, most = self._bounds()

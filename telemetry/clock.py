@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_filter
 
 from upright.telemetry.recording import Recording
 
@@ -131,6 +130,8 @@ def _without_wander(off: Array) -> Array:
 def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float] | None:
     """The share of `off` by which a channel's samples were off the clock, and its variance; None if the channel does
     not move, or moves in one block alone."""
+    from scipy.signal import savgol_filter  # half a second of imports, which not every command needs
+
     if not np.isfinite(values).all() or np.ptp(values) == 0.0:
         return None
     slope = savgol_filter(values, SMOOTH, 3, deriv=1, delta=period)

@@ -19,7 +19,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from upright.diagnosis.fits.refit import (
     CREEPING,
@@ -40,6 +39,7 @@ from upright.diagnosis.trial import FAILURES
 from upright.estimators.budget import OutOfTime
 from upright.estimators.data.time_scale import horizon, time_scale
 from upright.estimators.fit.maximum_likelihood import Begin, fit
+from upright.estimators.tails import normal_sf
 from upright.models.attach import starts
 from upright.models.model import Model
 from upright.models.parts import Place
@@ -197,7 +197,7 @@ def surprise(base: FullFit, other: FullFit) -> float:
         rises.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
     blocks = np.concatenate(rises)
     spread = float(np.sqrt(len(blocks)) * np.std(blocks, ddof=1))
-    return float(norm.sf(np.sum(blocks) / spread)) if spread > 0.0 else 1.0
+    return float(normal_sf(np.sum(blocks) / spread)) if spread > 0.0 else 1.0
 
 
 def _spacing(fitted: FullFit) -> float:

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from upright.diagnosis.lack_of_fit.floor import sensor_noise
 from upright.diagnosis.lack_of_fit.reach import reach
@@ -31,6 +30,7 @@ from upright.diagnosis.score.whitened import PEAKS, SLOWEST, whitening
 from upright.estimators.data.time_scale import time_scale
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.tails import chi2_sf
 from upright.models.random.disturbance import at_joints, narrow_at_joints
 from upright.models.random.part import LEAST_ROWS, LEAST_TIMES, PERIODS
 from upright.models.random.sensor_error import at_outputs
@@ -148,7 +148,7 @@ def _blocks(powers: Array) -> Iterator[tuple[float, int, int]]:
     while 2 * lines <= len(powers):
         sums = powers[: len(powers) // lines * lines].reshape(-1, lines).sum(axis=1)
         # Twice the power of a line is chi-squared with two degrees of freedom.
-        for place, chance in enumerate(chi2.sf(2.0 * sums, 2 * lines).tolist()):
+        for place, chance in enumerate(chi2_sf(2.0 * sums, 2 * lines).tolist()):
             yield chance, place * lines, (place + 1) * lines - 1
         lines *= 2
 

@@ -24,12 +24,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
-from scipy.stats import f as f_distribution
 
 from upright.estimators.data.segments import SHORTEST
 from upright.estimators.data.time_scale import time_scale
 from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.tails import f_sf
 from upright.models.random.disturbance import at_joints
 
 Array = NDArray[np.float64]
@@ -78,6 +77,8 @@ class Event:
 
 def events(fitted: Fit) -> list[Event]:
     """At most one event per segment and joint, of a fit whose model is otherwise correct."""
+    from scipy.signal import lfilter  # half a second of imports, which not every command needs
+
     task, errors = fitted.problem, fitted.innovations()
     scale, spacing = time_scale(task.model, task.segments), float(np.median(np.diff(task.segments[0].time)))
     shortest = max(SHORTEST, round(LEAST * scale / spacing))
@@ -117,7 +118,7 @@ def _by_chance(log_ratio: float, rest: Array, shortest: int) -> float:
     means = rest[: parts * shortest].reshape(parts, shortest).mean(axis=1)
     # The mean of n squares of a Gaussian has the variance 2 / n, relative to its own square.
     dispersion = max(1.0, 0.5 * shortest * float(np.var(means, ddof=1) / np.mean(means) ** 2))
-    return float(f_distribution.sf(2.0 * log_ratio / dispersion, 1, parts - 1))
+    return float(f_sf(2.0 * log_ratio / dispersion, 1, parts - 1))
 
 
 def _best(squares: Array, shortest: int) -> tuple[tuple[int, int, float] | None, int]:

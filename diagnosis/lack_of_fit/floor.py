@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from upright.diagnosis.lack_of_fit.process_noise import density, shown_shares
 from upright.diagnosis.lack_of_fit.reach import power_beyond, reach
@@ -30,6 +29,7 @@ from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.maximum_likelihood import Fit
 from upright.estimators.fit.problem import Problem
 from upright.estimators.fit.stationary import stationary
+from upright.estimators.tails import chi2_isf
 from upright.models.parts import State
 from upright.models.random.disturbance import parameters_of
 
@@ -157,7 +157,7 @@ def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]
         variance = np.asarray(np.maximum(variance, left.beyond))
     # A counted output has at least a quantiser's noise, and noise of its own if there is significantly more.
     counts = np.array([output.counted and not output.noise_known for output in outputs])
-    more = freedom * variance > chi2.isf(OWN_NOISE, freedom) * stated**2
+    more = freedom * variance > chi2_isf(OWN_NOISE, freedom) * stated**2
     known = np.array([output.noise_known for output in outputs]) | (counts & ~more)
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)

@@ -17,14 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
-from scipy.stats import t as student
 
 from upright.diagnosis.lack_of_fit.floor import Innovations
 from upright.diagnosis.lack_of_fit.force_probe import Coordinate, Probe
 from upright.estimators.data.time_scale import time_scale
 from upright.estimators.data.white_noise import white_variance
 from upright.estimators.fit.gauss_newton import Block, eliminate
+from upright.estimators.tails import t_sf
 
 Array = NDArray[np.float64]
 
@@ -147,6 +146,8 @@ class _Design:
 
     def fit(self, joint: int, members: Sequence[Array]) -> tuple[tuple[Term | None, ...], float]:
         """The mean force at `joint` for each column of `members`, by segment (n, m), and the share explained."""
+        from scipy.signal import fftconvolve  # half a second of imports, which not every command needs
+
         response, whitener = self.probed.response, self.found.floor.whitener
         parts = []
         for block, inside in zip(self.blocks, members, strict=True):
@@ -184,7 +185,7 @@ class _Design:
         freedom = informed**2 / np.maximum(np.sum(leverages**2, axis=0), 1e-300)
         spare = max(count - int(np.sum(kept)), 1)
         deviations = np.sqrt(np.maximum(informed, np.sum(scores**2, axis=0) * count / spare))
-        p_values = 2.0 * student.sf(np.abs(forces) / deviations, freedom)
+        p_values = 2.0 * t_sf(np.abs(forces) / deviations, freedom)
         energy = float(self.residual @ self.residual)
         over = energy - self.noise
         explained = min(max((energy - float(rest @ rest)) / over, 0.0), 1.0) if over > 0.0 else 0.0

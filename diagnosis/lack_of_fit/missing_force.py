@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2
 
 from upright.diagnosis.lack_of_fit.floor import Innovations
 from upright.diagnosis.lack_of_fit.force_probe import Probe, Response, recurrence
 from upright.estimators.contract import EstimationError
 from upright.estimators.fit.gauss_newton import Block, eliminate
 from upright.estimators.fit.stationary import stationary
+from upright.estimators.tails import chi2_sf
 
 Array = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
     inside = (float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
     peak = float(minimize_scalar(cost, bounds=inside, method="bounded", options={"xatol": 0.02}).x)
     statistic = 2.0 * (cost(-np.inf) - cost(peak))
-    p_value = 0.5 * float(chi2.sf(statistic, 1)) if statistic > 0.0 else 1.0
+    p_value = 0.5 * float(chi2_sf(statistic, 1)) if statistic > 0.0 else 1.0
     limit = cost(peak) + 0.5
     past = next((float(each) for each in tried if each > peak and cost(each) > limit), peak)
     step = float(np.exp(brentq(lambda each: cost(each) - limit, peak, past, xtol=0.01) if past > peak else peak))

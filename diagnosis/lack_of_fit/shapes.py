@@ -17,13 +17,12 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
-from scipy.stats import chi2
 
 from upright.diagnosis.lack_of_fit.floor import Innovations
 from upright.diagnosis.lack_of_fit.force_probe import Probe, recurrence
 from upright.diagnosis.score.whitened import Whitened, project, whitening
 from upright.estimators.data.time_scale import time_scale
+from upright.estimators.tails import chi2_sf
 
 Array = NDArray[np.float64]
 
@@ -172,7 +171,7 @@ class _Rise:
 
     @property
     def by_chance(self) -> float:
-        return float(chi2.sf(self.explained / self.inflation, self.rank))
+        return float(chi2_sf(self.explained / self.inflation, self.rank))
 
 
 class Design:
@@ -194,6 +193,8 @@ class Design:
         self.order, self.edges = order, np.flatnonzero(np.diff(white.blocks[order], prepend=-1))
 
     def columns(self, members: Sequence[Array]) -> Array:
+        from scipy.signal import fftconvolve  # half a second of imports, which not every command needs
+
         parts = []
         for segment, basis, inside in zip(self.segments, self.white.starts, members, strict=True):
             shown = np.stack(
@@ -212,6 +213,8 @@ class Design:
         """In each of BANDS the frequency (Hz) at which an oscillating coefficient of `slope` correlates best with what
         is left; then the number of lines that the record resolves. The correlation is evaluated by the adjoint: the
         innovations are filtered backwards and then correlated with the oscillation."""
+        from scipy.signal import fftconvolve  # half a second of imports, which not every command needs
+
         time = np.concatenate([segment.time for segment in self.segments])
         rests = np.split(self.white.residual, np.cumsum([len(each) for each in self.white.starts])[:-1])
         pulled = []

@@ -24,8 +24,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, false_discovery_control
-from scipy.stats import f as fisher
 
 from upright.diagnosis.lack_of_fit.floor import Innovations
 from upright.diagnosis.lack_of_fit.force_bins import Binned, Term, binned_forces, mean_forces
@@ -33,6 +31,7 @@ from upright.diagnosis.lack_of_fit.force_probe import probe
 from upright.diagnosis.lack_of_fit.missing_force import MissingForce, missing_force
 from upright.estimators.data.time_scale import time_scale
 from upright.estimators.numbers import with_error
+from upright.estimators.tails import adjusted, chi2_sf, f_sf
 from upright.models.compiler.kernel import Progress
 
 Array = NDArray[np.float64]
@@ -145,8 +144,8 @@ def _excess(normalised: Array, freedom: float) -> tuple[float, float]:
     count = len(normalised)
     ratio = float(np.mean(normalised**2))
     if np.isinf(freedom):
-        return ratio, float(chi2.sf(count * ratio, count))
-    return ratio, float(fisher.sf(ratio, count, freedom))
+        return ratio, float(chi2_sf(count * ratio, count))
+    return ratio, float(f_sf(ratio, count, freedom))
 
 
 def _time_entries(energies: Sequence[Energy]) -> list[Entry]:
@@ -188,9 +187,9 @@ def _state_entries(binned: Sequence[Binned]) -> list[Entry]:
     determined = [(each, place, term) for each in binned for place, term in enumerate(each.terms) if term is not None]
     if not determined:
         return []
-    adjusted = false_discovery_control([term.p_value for _, _, term in determined])
+    p_values = adjusted([term.p_value for _, _, term in determined])
     found: list[tuple[Term, Entry]] = []
-    for (each, place, term), p_value in zip(determined, adjusted, strict=True):
+    for (each, place, term), p_value in zip(determined, p_values, strict=True):
         if p_value < LEVEL / len(VIEWS):
             entry = {
                 "joint": each.joint,

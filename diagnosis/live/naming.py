@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from upright.diagnosis.gates import confusable
 from upright.diagnosis.live.odds import Weighed, weigh
@@ -25,6 +24,7 @@ from upright.estimators.disturbance_estimate import DisturbanceEstimate
 from upright.estimators.fit.problem import Problem
 from upright.estimators.numbers import with_error
 from upright.estimators.recursive.predictor import Seen
+from upright.estimators.tails import normal_isf
 from upright.models.effect import AttachedEffect, Effect
 from upright.models.effects.catalogue import CATALOGUE, find
 from upright.models.parts import Parameter
@@ -38,7 +38,7 @@ LOOKS = 2.0
 
 Counted in 51 minutes of multisine with nothing missing: in a tenth of them the best of 21 effects has odds of 440, in
 a twentieth 800."""
-DETECTABLE = float(2.0 * norm.isf(0.01))
+DETECTABLE = float(2.0 * normal_isf(0.01))
 """Standard errors of an amplitude that is found with 99 % probability at 1 % false alarms."""
 EXPLAINED = 0.1
 """Share of the excess energy since its onset that an effect must explain to be named."""

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
+
+from upright.estimators.tails import f_sf
 
 Array = NDArray[np.float64]
 
@@ -90,4 +91,4 @@ def _band(begin: float, measured: NDArray[np.complex128], simulated: NDArray[np.
     left = float(np.sum(np.abs(measured - response * simulated) ** 2)) / (2 * (count - 1))
     variance = left / power
     ratio = abs(response - 1.0) ** 2 / (2.0 * variance) if variance else float("inf")
-    return Band(begin, 2.0 * begin, response, sqrt(variance), float(fisher.sf(ratio, 2, 2 * (count - 1))))
+    return Band(begin, 2.0 * begin, response, sqrt(variance), float(f_sf(ratio, 2, 2 * (count - 1))))

@@ -18,7 +18,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from upright.diagnosis.prepare.candidates import Candidate
 from upright.diagnosis.score.whitened import Whitened
@@ -109,6 +108,8 @@ def _gains(innovations: Whitened, full: Problem, responses: Sequence[Array], whi
 def _shifted(response: Array, others: Array) -> Array:
     """The products of `response` (rows, ny), shifted to begin at each sample, with each of `others` (rows, ny, m),
     (rows, m)."""
+    from scipy.signal import correlate  # half a second of imports, which not every command needs
+
     rows = len(response)
     found = [
         sum(correlate(others[:, output, each], response[:, output])[rows - 1 :] for output in range(response.shape[1]))

@@ -24,7 +24,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
 
 from upright.diagnosis.prepare.candidates import Candidate, at_frequencies
 from upright.diagnosis.score.change_points import at_instants
@@ -32,12 +31,13 @@ from upright.diagnosis.score.whitened import Whitened, peaks, project
 from upright.diagnosis.side_by_side import side_by_side
 from upright.diagnosis.trial import tried
 from upright.estimators.fit.problem import Problem
+from upright.estimators.tails import chi2_sf, normal_isf
 from upright.models.effect import Role
 
 Array = NDArray[np.float64]
 _Pass = tuple[Problem, int, list[Candidate]]
 
-DETECTABLE = float(norm.isf(0.01) + norm.isf(0.01))
+DETECTABLE = float(normal_isf(0.01) + normal_isf(0.01))
 """Standard errors of an amplitude that is found with 99 % probability at 1 % false alarms."""
 DRAWS = 4000
 LEAST = 1e-12
@@ -340,7 +340,7 @@ def _pairs(
         sizes = (_inverse(information[where[:, :, None], where[:, None, :]]) @ score[where][:, :, None])[:, :, 0]
         inflation = [max(one.inflation, other.inflation) for one, other in alike]
         number = [len(together) * tries[one.candidate.name] * tries[other.candidate.name] for one, other in alike]
-        p_values = number * chi2.sf(np.sum(sizes * score[where], axis=1) / inflation, sum(widths))
+        p_values = number * chi2_sf(np.sum(sizes * score[where], axis=1) / inflation, sum(widths))
         for place in np.flatnonzero(p_values < 1.0):
             pair, parts = alike[place], (sizes[place, : widths[0]], sizes[place, widths[0] :])
             if all(_allowed(each.candidate, part) for each, part in zip(pair, parts, strict=True)):
@@ -384,7 +384,7 @@ def _p_single(entries: Sequence[_Entry], largest: Array) -> float:
             # A picked shape is corrected for the number it was picked from; the distribution of the others contains
             # their tries.
             tail = (
-                chi2.sf(best.statistic, len(best.where)) if picked else _tail(largest, best.statistic, len(best.where))
+                chi2_sf(best.statistic, len(best.where)) if picked else _tail(largest, best.statistic, len(best.where))
             )
             found.append(min(1.0, (best.candidate.among if picked else 1) * float(tail)))
     return min(1.0, min(found) * len(found))
@@ -397,8 +397,8 @@ def _tail(drawn: Array, statistic: float, degrees: int) -> float:
     if above >= 10:
         return above / len(drawn)
     far = np.sort(drawn)[-10]
-    tries = (10.0 / len(drawn)) / max(float(chi2.sf(far, degrees)), 1e-300)
-    return float(min(1.0, tries * chi2.sf(statistic, degrees)))
+    tries = (10.0 / len(drawn)) / max(float(chi2_sf(far, degrees)), 1e-300)
+    return float(min(1.0, tries * chi2_sf(statistic, degrees)))
 
 
 def _tails(drawn: Array) -> Array:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from upright.diagnosis.evidence import SIGNIFICANT
 from upright.diagnosis.explain import explain
@@ -44,6 +43,7 @@ from upright.estimators.fit.innovations import WIDEST
 from upright.estimators.fit.maximum_likelihood import Begin, noise_of
 from upright.estimators.fit.result import inverse
 from upright.estimators.methods.prediction_error import result
+from upright.estimators.tails import chi2_sf
 
 LATE = 0.7
 """Share of the time then left for fits of effects that the score test does not see."""
@@ -221,7 +221,7 @@ def _by_likelihood(fitted: FullFit, base: FullFit, scored: ScoreTest) -> float:
         return 1.0
     score = next((each for each in scored.scores if each.candidate.name == fitted.name), None)
     gain = (fitted.log_likelihood - base.log_likelihood) / (score.inflation if score else 1.0)
-    return float(chi2.sf(2.0 * gain, fitted.count - base.count))
+    return float(chi2_sf(2.0 * gain, fitted.count - base.count))
 
 
 def named_alone(

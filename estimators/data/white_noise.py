@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+
+from upright.estimators.tails import chi2_ppf
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,6 @@ def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
     counts = np.array([np.sum(there, axis=0) for there in known])
     powers = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)  # a block may be unknown as a whole
     rows = len(rough) / len(blocks)
-    median = float(chi2.ppf(0.5, rows / SKEWNESS) / (rows / SKEWNESS))
+    median = float(chi2_ppf(0.5, rows / SKEWNESS) / (rows / SKEWNESS))
     variance = np.nanmedian(powers, axis=0) / GAIN_OF_DIFFERENCES / median
     return variance, len(rough) / CORRELATION / (LOSS_OF_MEDIAN if len(blocks) > 2 else 1.0)

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 from upright.estimators.fit.problem import Problem
 from upright.models.random.input_noise import InputNoise
@@ -84,5 +83,7 @@ def _all_innovations(parts: Sequence[Array], gain: float) -> list[Array]:
 
 def _innovations(readings: Array, gain: float, level: float) -> Array:
     """Innovations (n,) if the level begins at `level`."""
+    from scipy.signal import lfilter  # half a second of imports, which not every command needs
+
     # e(k) = u(k) - level(k), level(k + 1) = level(k) + gain e(k): e = (1 - z^-1) / (1 - (1 - gain) z^-1) u.
     return np.asarray(lfilter([1.0, -1.0], [1.0, -(1.0 - gain)], readings - level))

@@ -21,7 +21,6 @@ from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from upright.estimators.contract import EstimationError
 from upright.estimators.fit.gauss_newton import Normal, common_information
@@ -29,13 +28,14 @@ from upright.estimators.fit.innovations import WIDEST
 from upright.estimators.fit.likelihood import Likelihood
 from upright.estimators.fit.maximum_likelihood import Fit, fit
 from upright.estimators.fit.problem import problem
+from upright.estimators.tails import chi2_ppf
 from upright.models.compiler.kernel import Progress
 from upright.models.model import Model
 from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 
-RISE = 0.5 * float(chi2.ppf(0.95, 1))
+RISE = 0.5 * float(chi2_ppf(0.95, 1))
 """Rise of the cost, a negative log-likelihood, beyond which a value is outside the 95 % interval."""
 ITERATIONS = 300
 """Largest number of steps: a fit may go from bound to bound, along directions that are hardly identifiable."""

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
 
 from upright.estimators.contract import EstimationError, Status
 from upright.estimators.data.segments import AGREEMENT, Contradiction, DataError, channels_of, segments
 from upright.estimators.data.time_scale import motion_time
 from upright.estimators.readings.readings import Reading, one, readings
 from upright.estimators.readings.score import Score, score
+from upright.estimators.tails import chi2_isf
 from upright.models.model import Model
 from upright.models.natural_time import natural_time
 from upright.telemetry.errors import RecordingError
@@ -168,7 +168,7 @@ def _factors(
 
     A factor within AGREEMENT may be physics.
     """
-    usual = 0.5 * float(chi2.isf(CHANCE, max(1, sum(1 for each in model.parameters if each.estimated and each.std))))
+    usual = 0.5 * float(chi2_isf(CHANCE, max(1, sum(1 for each in model.parameters if each.estimated and each.std))))
     part = _rows(recording, slice(0, FEWER))
     found: list[tuple[Score, Reading]] = []
     for name in dict.fromkeys(each.channel for each in model.inputs if each.channel in recording.values):

@@ -15,9 +15,9 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from scipy.stats import f as f_distribution
 
 from upright.estimators.data.segments import segments
+from upright.estimators.tails import f_sf
 from upright.models.effect import Effect
 from upright.models.model import Model
 from upright.models.segment import Segment
@@ -122,7 +122,7 @@ def _f_test(left: Array, columns: Array, used: int) -> float:
     if count == 0 or free <= 0:
         return 1.0
     ratio = (float(left @ left) - float(after @ after)) / count / (float(after @ after) / free)
-    return float(f_distribution.sf(ratio, count, free))
+    return float(f_sf(ratio, count, free))
 
 
 def _smoothed(model: Model, segment: Segment) -> tuple[dict[str, Array], Array, int]:
