@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from upright.diagnosis.prediction.compare import Comparison
 from upright.diagnosis.report import tables
-from upright.diagnosis.report.figures.drawing import file_name, shown, units
+from upright.diagnosis.report.names import file_name, shown, units
 from upright.diagnosis.report.page import Figures, Provenance, compared_figures, render
 from upright.diagnosis.report.sentences import disturbance_text
 

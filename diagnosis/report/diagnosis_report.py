@@ -14,7 +14,7 @@ from upright.diagnosis.diagnose import Diagnosis
 from upright.diagnosis.lack_of_fit.adequacy import over_floor
 from upright.diagnosis.prediction.compare import Comparison, compare
 from upright.diagnosis.report import tables
-from upright.diagnosis.report.figures.drawing import file_name
+from upright.diagnosis.report.names import file_name
 from upright.diagnosis.report.page import Figures, Provenance, compared_figures, render
 from upright.diagnosis.report.sentences import disturbance_sentences, untried_sentence
 from upright.diagnosis.report.words import headline

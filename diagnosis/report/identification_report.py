@@ -8,7 +8,7 @@ from typing import Any
 
 from upright.diagnosis.prediction.compare import Comparison
 from upright.diagnosis.report.comparison_report import Compared
-from upright.diagnosis.report.figures.drawing import file_name
+from upright.diagnosis.report.names import file_name
 from upright.diagnosis.report.page import Provenance, compared_figures, render
 from upright.estimators.contract import EstimationError
 from upright.estimators.identify.document import CANCELLED

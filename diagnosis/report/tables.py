@@ -10,7 +10,7 @@ import numpy as np
 from upright.diagnosis.diagnose import Diagnosis, Finding
 from upright.diagnosis.prediction.compare import Comparison
 from upright.diagnosis.prediction.relevance import percent
-from upright.diagnosis.report.figures.drawing import shown
+from upright.diagnosis.report.names import shown
 from upright.diagnosis.report.sentences import two_digits
 from upright.diagnosis.score.score_test import Score, ScoreTest
 from upright.estimators.fit.disturbance import disturbances

@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from upright.diagnosis.findings import Verdict
-from upright.diagnosis.report.figures.drawing import AFTER, BEFORE, WIDTH, shown, styled, svg
+from upright.diagnosis.report.figures.drawing import AFTER, BEFORE, WIDTH, styled, svg
+from upright.diagnosis.report.names import shown
 from upright.service.fleet.trends import Trend
 
 dates: Any = untyped

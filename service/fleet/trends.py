@@ -8,7 +8,7 @@ from datetime import datetime
 from math import hypot, isfinite
 from typing import Any
 
-from upright.diagnosis.report.figures.drawing import shown
+from upright.diagnosis.report.names import shown
 from upright.estimators.numbers import with_error
 from upright.estimators.steps import SHORTEST, Step, steps
 from upright.service.fleet.results import Row

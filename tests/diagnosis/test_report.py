@@ -28,7 +28,8 @@ from upright.diagnosis.diagnose import Diagnosis, Verdict
 from upright.diagnosis.prediction.relevance import percent
 from upright.diagnosis.report import write_report
 from upright.diagnosis.report.figures.diagnosis import staircase
-from upright.diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
+from upright.diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, svg, thinned
+from upright.diagnosis.report.names import shown
 from upright.diagnosis.report.tables import HARD_SPACE, detectables, p_text
 from upright.diagnosis.report.words import gist, headline
 from upright.estimators.disturbance_estimate import rms

@@ -22,15 +22,14 @@ from upright.diagnosis.report.figures.drawing import (
     MEASURED,
     WIDTH,
     Look,
-    file_name,
     in_a_row,
     looks,
     separate,
-    shown,
     styled,
     svg,
     thinned,
 )
+from upright.diagnosis.report.names import file_name, shown
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from upright.models.model import Model
-
 Array = NDArray[np.float64]
 
 WIDTH = 7.2
@@ -133,18 +131,6 @@ def thinned(*columns: Array) -> list[Array]:
     return [column[::step] for column in columns]
 
 
-def shown(unit: str) -> tuple[float, str]:
-    """Factor and unit in which people read it: angles in degrees."""
-    if unit.startswith("rad"):
-        return float(np.degrees(1.0)), unit.replace("rad", "deg", 1)
-    return 1.0, unit
-
-
-def units(model: Model) -> dict[str, str]:
-    """Units of a model's inputs and outputs, by name."""
-    return {each.name: each.unit for each in model.inputs} | {each.name: each.unit for each in model.outputs}
-
-
 def in_a_row(begins: Sequence[float], ends: Sequence[float]) -> Array:
     """s by which each part of several recordings is shifted to follow the one before, (n,).
 
@@ -157,11 +143,6 @@ def in_a_row(begins: Sequence[float], ends: Sequence[float]) -> Array:
         shifts.append(shift)
         last = end
     return np.array(shifts)
-
-
-def file_name(source: str) -> str:
-    """The last part of a path."""
-    return source.replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def separate(axes: Axes, begins: Sequence[float], names: Sequence[str]) -> None:

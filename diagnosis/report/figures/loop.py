@@ -20,12 +20,11 @@ from upright.diagnosis.report.figures.drawing import (
     Array,
     in_a_row,
     looks,
-    shown,
     styled,
     svg,
     thinned,
-    units,
 )
+from upright.diagnosis.report.names import shown, units
 
 
 @styled

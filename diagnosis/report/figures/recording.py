@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from upright.diagnosis.report.figures.drawing import Array, Picture, shown, thinned
+from upright.diagnosis.report.figures.drawing import Array, Picture, thinned
+from upright.diagnosis.report.names import shown
 from upright.telemetry.recording import Recording
 
 
