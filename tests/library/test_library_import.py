@@ -40,6 +40,10 @@ def test_a_name_loads_its_module_on_first_use() -> None:
     assert {"numpy", "scipy"} <= loaded("import upright; upright.load")
 
 
+def test_what_draws_is_loaded_by_a_plot_alone() -> None:
+    assert "matplotlib" not in loaded("import upright; upright.diagnose, upright.compare, upright.identify")
+
+
 def test_every_name_of_the_interface_exists_and_is_typed() -> None:
     assert [name for name in upright.__all__ if getattr(upright, name) is None] == []
     assert dir(upright) == upright.__all__

@@ -14,11 +14,9 @@ from upright.library.layers.results import (
     Compared,
     EstimationError,
     GreyBox,
-    Picture,
     Provenance,
     compared,
     compared_models,
-    comparison_figure,
     name_of,
     print_comparisons,
     provenance,
@@ -33,6 +31,7 @@ if TYPE_CHECKING:
     import pandas
     from rich.console import Console
 
+    from upright.library.layers.pictures import Picture
     from upright.library.layers.results import VehicleFile
 
 
@@ -85,6 +84,8 @@ class Comparison:
 
     def plot(self, recording: int = 0) -> Picture:
         """Prediction over measurement, and where the models fail, on one of the recordings: a figure of matplotlib."""
+        from upright.library.layers.pictures import comparison_figure
+
         return comparison_figure(self.answers[recording][1])
 
     def report(self, path: str | PathLike[str]) -> Path:

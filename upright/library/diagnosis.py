@@ -18,10 +18,8 @@ from upright.library.layers.results import (
     EstimationError,
     Found,
     ModelFile,
-    Picture,
     Provenance,
     before_and_after,
-    comparison_figure,
     diagnosed,
     headline,
     name_of,
@@ -39,6 +37,8 @@ from upright.library.threads import one_thread
 if TYPE_CHECKING:
     import pandas
     from rich.console import Console
+
+    from upright.library.layers.pictures import Picture
 
 
 GivenEffect = str | PathLike[str] | Effect
@@ -157,6 +157,8 @@ class Diagnosis:
             comparisons, why = before_and_after(part.found, part.recordings, self.answer.support)
         if not comparisons:
             raise EstimationError("plot", why.rstrip("."), remedy=self.next_step)
+        from upright.library.layers.pictures import comparison_figure
+
         return comparison_figure(comparisons)
 
     def report(self, path: str | PathLike[str]) -> Path:

@@ -14,11 +14,9 @@ from upright.library.layers.recordings import Recorded
 from upright.library.layers.results import (
     Identified,
     ModelFile,
-    Picture,
     Provenance,
     identified,
     identified_file,
-    method_figure,
     name_of,
     print_methods,
     provenance,
@@ -31,6 +29,8 @@ from upright.library.threads import one_thread
 if TYPE_CHECKING:
     import pandas
     from rich.console import Console
+
+    from upright.library.layers.pictures import Picture
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -83,6 +83,8 @@ class Identification:
     def plot(self) -> Picture:
         """The methods side by side, one panel a parameter, as a figure of matplotlib. Raises UprightError if no method
         has an estimate."""
+        from upright.library.layers.pictures import method_figure
+
         return method_figure(self.answer.document)
 
     def report(self, path: str | PathLike[str]) -> Path:

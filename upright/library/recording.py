@@ -18,8 +18,9 @@ from upright.library.shown import frame_of
 if TYPE_CHECKING:
     import pandas
 
+    from upright.library.layers.pictures import Picture
     from upright.library.layers.recordings import Source
-    from upright.library.layers.results import GreyBox, Picture, VehicleFile
+    from upright.library.layers.results import GreyBox, VehicleFile
 
 
 FARTHEST = 9e9
@@ -87,7 +88,7 @@ class Recording(Recorded):
 
     def plot(self, *channels: str) -> Picture:
         """The channels over time, by default those that change, as a figure of matplotlib."""
-        from upright.library.layers.results import recording_figure
+        from upright.library.layers.pictures import recording_figure
 
         return recording_figure(self, channels)
 

@@ -1,4 +1,4 @@
-"""From the layers: vehicle files, and what fits, compares, diagnoses, prints and draws."""
+"""From the layers: vehicle files, and what fits, compares, diagnoses and prints."""
 
 from __future__ import annotations
 
@@ -6,10 +6,6 @@ from upright.diagnosis.diagnose import Finding as Found
 from upright.diagnosis.prediction.compare import Comparison as Compared
 from upright.diagnosis.report import Provenance, write_comparison
 from upright.diagnosis.report.diagnosis_report import before_and_after
-from upright.diagnosis.report.figures.comparison import comparison_figure
-from upright.diagnosis.report.figures.drawing import Picture
-from upright.diagnosis.report.figures.methods import method_figure
-from upright.diagnosis.report.figures.recording import recording_figure
 from upright.diagnosis.report.words import headline
 from upright.estimators.contract import EstimationError
 from upright.estimators.numbers import with_error
@@ -41,21 +37,18 @@ __all__ = [
     "GreyBox",
     "Identified",
     "ModelFile",
-    "Picture",
     "Provenance",
     "VehicleFile",
     "before_and_after",
     "columns",
     "compared",
     "compared_models",
-    "comparison_figure",
     "diagnosed",
     "headline",
     "identified",
     "identified_file",
     "identified_model",
     "load_vehicle",
-    "method_figure",
     "name_of",
     "now",
     "print_comparisons",
@@ -63,7 +56,6 @@ __all__ = [
     "print_methods",
     "print_model",
     "provenance",
-    "recording_figure",
     "report_paths",
     "revised",
     "save",
