@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from upright.estimators.loss_test import SURE, USUAL, LossTest
+from upright.estimators.loss_test import THRESHOLD, USUAL, LossTest
 
 
 def cycles_until_sure(share: float, cycles: int, seed: int) -> int | None:
@@ -16,7 +16,7 @@ def cycles_until_sure(share: float, cycles: int, seed: int) -> int | None:
             test.lost()
         else:
             test.came()
-        if test.evidence > SURE:
+        if test.log_ratio > THRESHOLD:
             return cycle
     return None
 
@@ -35,7 +35,7 @@ def test_interruption_is_one_event_unless_it_is_to_count_as_a_whole() -> None:
         whole.lost()
     other = LossTest()
     other.came(missed=50)
-    assert other.evidence < one.evidence < SURE / 2 < SURE < whole.evidence
+    assert other.log_ratio < one.log_ratio < THRESHOLD / 2 < THRESHOLD < whole.log_ratio
 
 
 def test_usual_losses_are_not() -> None:
@@ -48,9 +48,9 @@ def test_missed_cycles_count_as_lost_ones() -> None:
     other.lost()
     other.lost()
     other.came()
-    assert one.evidence == other.evidence > 0.0
+    assert one.log_ratio == other.log_ratio > 0.0
     one.reset()
-    assert one.evidence == 0.0
+    assert one.log_ratio == 0.0
 
 
 def test_cycles_that_come_bunched_were_late_and_not_lost() -> None:
@@ -59,7 +59,7 @@ def test_cycles_that_come_bunched_were_late_and_not_lost() -> None:
         test.came(missed=2)
         test.came(missed=-1)
         test.came(missed=-1)
-    assert test.evidence < SURE / 10
+    assert test.log_ratio < THRESHOLD / 10
 
 
 def test_early_cycles_do_not_make_up_for_losses_before() -> None:
@@ -68,7 +68,7 @@ def test_early_cycles_do_not_make_up_for_losses_before() -> None:
         each.came(missed=3)
         each.came()
     test.came(missed=-1)
-    assert test.evidence == other.evidence > 0.0
+    assert test.log_ratio == other.log_ratio > 0.0
 
 
 def test_answers_that_come_a_cycle_late_are_not_lost() -> None:
@@ -77,4 +77,4 @@ def test_answers_that_come_a_cycle_late_are_not_lost() -> None:
         test.lost()
         test.came()
         test.came(missed=-1)
-    assert test.evidence < SURE / 5
+    assert test.log_ratio < THRESHOLD / 5

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from upright.drivers.cia402.nmt import HEARTBEAT_COB_ID
 from upright.drivers.error_frames import decode
 from upright.drivers.vehicle_io import LARGEST, VehicleIo
-from upright.estimators.loss_test import SURE, LossTest
+from upright.estimators.loss_test import THRESHOLD, LossTest
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.bounds import Code
 
@@ -53,10 +53,10 @@ class BusWatch:
         """A control cycle is over."""
         if self._error is None:
             self._errors.came()
-            self._said = self._said and self._errors.evidence > 0.0
+            self._said = self._said and self._errors.log_ratio > 0.0
             return
         self._errors.lost()
-        if self._errors.evidence > SURE and not self._said:
+        if self._errors.log_ratio > THRESHOLD and not self._said:
             self._said = True
             self._event(
                 "warning",

@@ -39,7 +39,7 @@ from typing import Any
 from upright.drivers.cia402.emergency import of_communication
 from upright.drivers.imu import ImuHealth
 from upright.estimators.axis_consistency import AxisConsistency
-from upright.estimators.loss_test import SURE, LossTest
+from upright.estimators.loss_test import THRESHOLD, LossTest
 from upright.vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
 
@@ -199,7 +199,7 @@ class Safety:
             if (
                 drive.emergency
                 or not drive.heartbeat_age <= self.heartbeat_timeout
-                or drive.losses.evidence > SURE
+                or drive.losses.log_ratio > THRESHOLD
                 or not drive.slip <= SLIP
             ):
                 concern = drive
@@ -227,7 +227,7 @@ class Safety:
             return end(Code.IMU_STUCK, seen.imu_text)
         if concern is not None:
             return self._drive_concern(concern)
-        if seen.imu_losses.evidence > SURE:
+        if seen.imu_losses.log_ratio > THRESHOLD:
             return end(
                 Code.IMU_LOSSES,
                 "every second frame set of the IMU is missing, or more: the IMU sends at another rate than "
@@ -271,7 +271,7 @@ class Safety:
                 f"position and rate of drive {drive.name} differ by {drive.slip:.2f} turns of the motor: "
                 "check encoder and units",
             )
-        if drive.losses.evidence > SURE:
+        if drive.losses.log_ratio > THRESHOLD:
             return end(Code.DRIVE_LOSSES, f"every second answer of drive {drive.name} is missing, or more: {LOSSES}")
         return end(
             Code.DRIVE_HEARTBEAT,
