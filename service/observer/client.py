@@ -25,8 +25,9 @@ from upright.vehicles import registry
 
 ORDERS = ("start_recording", "stop_recording")
 """Messages that must not be lost."""
-ORDERLY_END = 10.0
-"""Time limit for the observer to end by itself, s."""
+ORDERLY_END = 20.0
+"""Time limit for the observer to end by itself, s: one that still compiles on a busy processor reads late what is in
+its pipe, and then completes the recording."""
 
 
 class ObserverClient:

@@ -19,6 +19,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -70,6 +71,12 @@ PACKETS_A_TURN = 32
 
 RAW_BUSES = ("can0", "can1")
 """Names of in-process buses in a raw log."""
+
+
+def _lower_priority() -> None:
+    """Give this thread the lowest priority."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
 
 
 class Observer:
@@ -321,10 +328,10 @@ class Observer:
 
     async def _compile(self) -> None:
         """Compile once in a thread, after which estimators are created immediately. The process does not wait for it to
-        exit. The thread has the priority of this process: one below would keep the interpreter's lock while it waits
-        for a processor, and with it the recorder and MQTT."""
+        exit. Its thread has the lowest priority, so that it delays neither the control process nor others."""
 
         def work() -> LivePrediction | None:
+            _lower_priority()
             self._new_bank().join()
             with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimation works without it
                 return self._new_prediction() if self._watched else None

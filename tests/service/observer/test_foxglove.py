@@ -248,9 +248,9 @@ async def test_client_that_never_reads_takes_no_memory_and_delays_nobody(client:
         assert resident(client) - before < sent / 3
         summary = await record(client, frames)
         assert (summary["failure"], summary["rows"]) == ("", len(frames))
-        began = time.monotonic()
         await client.stop()
-        assert time.monotonic() - began < 5.0
+        assert client._process is not None
+        assert client._process.returncode == 0  # by itself: one that waits for the client is killed
         deaf.socket.transport.resume_reading()  # it finds that the server has gone
 
 
