@@ -34,8 +34,10 @@ from pathlib import Path
 from time import perf_counter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import pendulum_fleet
 import pendulum_plant
 
 from upright.service.fleet.examine import Settings, Task, examine
@@ -44,47 +46,8 @@ from upright.service.fleet.run import fleet
 from upright.service.fleet.store import Store
 from upright.service.spread import Spread, Work, machines, processes
 
-MODEL = """
-title = "Pendulum on a motor"
-
-[parameters]
-inertia = { unit = "kg m^2", value = 0.5, std = 0.1, lower = 0.0 }
-stiffness = { unit = "N m/rad", value = 9.8, std = 2.0 }
-motor_constant = { unit = "N m/V", value = 0.3, std = 0.02, estimated = false }
-
-[states.angle]
-unit = "rad"
-derivative = "rate"
-initial = "angle"
-initial_std = 0.1
-
-[states.rate]
-unit = "rad/s"
-derivative = "pivot_force / inertia"
-initial_std = 1.0
-process_noise = 0.01
-
-[inputs.voltage]
-unit = "V"
-hold = "zero_order"
-
-[outputs.angle]
-unit = "rad"
-expression = "angle"
-noise = 1e-4
-
-[joints.pivot]
-coordinate = "angle"
-rate = "rate"
-inertia = "inertia"
-load = "motor_constant * voltage - stiffness * sin(angle)"
-force_unit = "N m"
-coordinate_unit = "rad"
-force_scale = 5.0
-coordinate_scale = 0.5
-rate_scale = 1.0
-smooth_rate = 1e-3
-"""
+MODEL = pendulum_fleet.MODEL.partition("\n[[effects]]")[0]
+"""Without the friction that the example begins with."""
 SETS = {"short": 0.1, "whole": 12.0}
 """s of a recording, by the name of its set."""
 WARM = 5

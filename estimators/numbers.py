@@ -58,7 +58,8 @@ class Scale:
         decimals = min(max(0, self.power - place), MOST)
         # If the last digit is left of the decimal point, the digits after it are zeros.
         coarse = max(place, self.power - MOST)
-        return tuple(f"{_rounded(each, coarse) / 10.0**self.power:.{decimals}f}" for each in (value, std))  # type: ignore[return-value]
+        first, second = (f"{_rounded(each, coarse) / 10.0**self.power:.{decimals}f}" for each in (value, std))
+        return first, second
 
     def text(self, value: float | None, std: float | None = None) -> str:
         """`1.61 ± 0.15`, without the unit."""

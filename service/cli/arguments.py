@@ -49,6 +49,29 @@ RecordingsArgument = Annotated[
     list[Path],
     typer.Argument(help="Recordings, tables and logs of other programs, folders of a rosbag 2, or CAN logs."),
 ]
+DiagnosedModelOption = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help="A model file or a shipped model.",
+        show_default="the vehicle's with its CAD values",
+        autocompletion=models,
+    ),
+]
+EffectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        help="Look only for this effect: a name of the catalogue, or an effect of your own (.toml, .py). May be"
+        " repeated.",
+        show_default="the whole catalogue",
+        autocompletion=effects,
+    ),
+]
+AlsoOption = Annotated[
+    list[str] | None,
+    typer.Option("--also", help="Also look for an effect of your own (.toml, .py). May be repeated."),
+]
 MapOption = Annotated[
     list[str] | None,
     typer.Option(

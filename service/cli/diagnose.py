@@ -10,15 +10,16 @@ from typing import Annotated, Any
 import typer
 
 from upright.service.cli.arguments import (
+    AlsoOption,
     AssumeOption,
     DbcOption,
+    DiagnosedModelOption,
+    EffectOption,
     FromOption,
     MapOption,
     RecordingsArgument,
     ToOption,
     VehicleOption,
-    effects,
-    models,
 )
 from upright.service.output import page, print_json
 from upright.service.whole_file import write_whole
@@ -30,29 +31,9 @@ DRAWING = 0.1
 def diagnose(
     recordings: RecordingsArgument,
     vehicle: VehicleOption = "monocab",
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            help="A model file or a shipped model.",
-            show_default="the vehicle's with its CAD values",
-            autocompletion=models,
-        ),
-    ] = None,
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--effect",
-            help="Look only for this effect: a name of the catalogue, or an effect of your own (.toml, .py). May be"
-            " repeated.",
-            show_default="the whole catalogue",
-            autocompletion=effects,
-        ),
-    ] = None,
-    own: Annotated[
-        list[str] | None,
-        typer.Option("--also", help="Also look for an effect of your own (.toml, .py). May be repeated."),
-    ] = None,
+    model: DiagnosedModelOption = None,
+    effect: EffectOption = None,
+    own: AlsoOption = None,
     begin: FromOption = 0.0,
     end: ToOption = math.inf,
     map_: MapOption = None,

@@ -8,7 +8,14 @@ from typing import Annotated
 
 import typer
 
-from upright.service.cli.arguments import AssumeOption, MapOption, VehicleOption, effects, models
+from upright.service.cli.arguments import (
+    AlsoOption,
+    AssumeOption,
+    DiagnosedModelOption,
+    EffectOption,
+    MapOption,
+    VehicleOption,
+)
 from upright.service.output import check_folder, page, people, print_json
 
 EXAMPLES = """Examples:
@@ -32,28 +39,9 @@ def fleet(
         Path, typer.Option("--out", "-o", help="Results: a Parquet file with a row for each recording.")
     ] = Path("fleet.parquet"),
     vehicle: VehicleOption = "monocab",
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            help="A model file or a shipped model.",
-            show_default="the vehicle's with its CAD values",
-            autocompletion=models,
-        ),
-    ] = None,
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--effect",
-            help="Look only for this effect, as of `upright diagnose`. May be repeated.",
-            show_default="the whole catalogue",
-            autocompletion=effects,
-        ),
-    ] = None,
-    own: Annotated[
-        list[str] | None,
-        typer.Option("--also", help="Also look for an effect of your own (.toml, .py). May be repeated."),
-    ] = None,
+    model: DiagnosedModelOption = None,
+    effect: EffectOption = None,
+    own: AlsoOption = None,
     map_: MapOption = None,
     assume: AssumeOption = None,
     budget: Annotated[

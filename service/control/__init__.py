@@ -1,2 +1,2 @@
-"""The control process. The daemon answers commands over its api and runs the loop. The loop steps through the sequence
-of an experiment with its excitation, and checks safety each cycle. assembly builds the parts from the vehicle file."""
+"""The control process. The daemon opens the buses and sets up the drives, runs the cycle (cycle/) and answers requests
+(clients/). assembly builds the parts from the vehicle file; what was commissioned and adopted is kept on the disk."""

@@ -16,7 +16,7 @@ from upright.service.fleet.results import Row
 LEVEL = 0.01
 """Probability with which the report of a fleet in which nothing changes names a change."""
 LEAST = 1e-3
-"""p-values below are not told apart."""
+"""p-values below are not distinguished."""
 APART = 2.0
 """Standard deviations from zero from which on the ratio of two values means something."""
 
@@ -50,10 +50,9 @@ class Trend:
         """A step as a sentence."""
         factor, unit = shown(self.unit)
         before, after = ((factor * value, factor * std) for value, std in (step.before, step.after))
-        tail = "" if unit in ("", "1") else f" {unit}"
         return (
             f"Since {self.since(step):%Y-%m-%d}, {self.parameter} of {self.vehicle} {_how(before, after)}:"
-            f" {with_error(*after)}{tail} after {with_error(*before)}{tail}, {p_text(step.p_value)}"
+            f" {with_error(*after, unit)} after {with_error(*before, unit)}, {p_text(step.p_value)}"
         )
 
     def to_json(self, step: Step) -> dict[str, Any]:

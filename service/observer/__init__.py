@@ -1,2 +1,2 @@
-"""The observer process and its client in control. The client starts it and feeds its pipe; the process records,
-estimates online, predicts and diagnoses. The raw log is a separate process, which taps the bus."""
+"""The observer process and its client in control. The client starts it and feeds its pipe (link, pipe); the process
+records (recording/), estimates, predicts and diagnoses online (live/), and serves those who look on (viewers/)."""

@@ -1,2 +1,2 @@
-"""Work on finished recordings: replay reads and replays them, export converts them, machine finds which machine they
-are of, next_experiment chooses what to record next, trail writes the result of a diagnosis."""
+"""Work on finished recordings. inputs/ reads them, from any file; then a module for each command (identify, compare,
+diagnose, design, multisine); next_experiment chooses what to record next; export and trail write."""

@@ -6,7 +6,7 @@ that is the one encoding that all three viewers plot; events are `foxglove.Log`.
 
 Times are ns since 1970, those of the recording. A message has the time of its data twice, as log time and in
 `header.stamp`: PlotJuggler plots over the first; Foxglove and Lichtblick have the time of receipt in its place, and
-plot over the second when told to.
+plot over the second if that is chosen.
 
 What a client does not read in time is dropped, the oldest first: at most `BACKLOG` messages wait for each. The server
 ends with the process, since its own orderly stop waits for clients that do not read.
