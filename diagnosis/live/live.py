@@ -25,8 +25,7 @@ from upright.diagnosis.live.line import LONGEST, LineFinder
 from upright.diagnosis.live.naming import TOO_LITTLE, Gathered, LiveResult
 from upright.diagnosis.prepare.candidates import Candidate, candidates_for
 from upright.diagnosis.prepare.workspace import attached
-from upright.estimators.fit.problem import FINEST as STEP
-from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.problem import Problem, steps_within
 from upright.estimators.fit.problem import at_rest as moment_at_rest
 from upright.estimators.recursive.frame_chunks import Chunk, join
 from upright.estimators.recursive.prediction_error import (
@@ -320,7 +319,7 @@ def substeps(kernel: Kernel, values: Array, base: Problem, period: float) -> int
     moved = little * np.concatenate((np.zeros((1, len(kernel.states))), np.eye(len(kernel.states))))
     later = np.array([kernel.run(rest, values, initial).final for initial in moved]) - moved
     matrix = (later[1:] - later[0]).T / (short * little)
-    return int(np.clip(np.ceil(period * np.max(np.abs(np.linalg.eigvals(matrix))) / STEP), 1, 50))
+    return steps_within(period, matrix)
 
 
 def parts(chunk: Chunk, outputs: int) -> Iterator[tuple[slice, float, float]]:

@@ -115,30 +115,45 @@ def steps(
     move = kernel.ready(
         rows, values, memory, None, (), rows.measured, np.empty((*rows.measured.shape, 0)), substeps=task.substeps
     )
+    # Tens of thousands of samples, each a few microseconds of mathematics: plain numbers, and views made once.
+    instants, measured, inputs = rows.time.tolist(), rows.measured.data, rows.row_inputs.data
+    last, channels = len(instants) - 1, range(len(kernel.outputs))
     holds = {each.name: each.hold for each in task.model.inputs}
-    before: Memory | None = None
+    held = [(place, name) for place, name in enumerate(kernel.inputs) if holds[name] is not Hold.CUBIC]
+    curves = [(place, name) for place, name in enumerate(kernel.inputs) if holds[name] is Hold.CUBIC]
+    noise, kicks = ((), ()) if shocks is None else (shocks[0].tolist(), shocks[1])
+    before, known = memory.copy(), False
     if first == 0:
         move(0, 0, False)
-    for row in range(first, len(rows) - 1):
-        noise, kick = (0.0, 0.0) if shocks is None else (each[row - first] for each in shocks)
-        seen = dict(zip(kernel.outputs, (rows.measured[row] + noise).tolist(), strict=True))
-        given = controller(float(rows.time[row]), seen)
+    for row in range(first, last):
+        seen = {name: measured[row, place] for place, name in enumerate(kernel.outputs)}
+        if noise:
+            for name, error in zip(kernel.outputs, noise[row - first], strict=True):
+                seen[name] += error
+        given = controller(instants[row], seen)
         yield row, seen, given
+        for place, name in held:
+            if name in given:
+                inputs[row, place] = given[name]
         curved = False
-        for number, name in enumerate(kernel.inputs):
-            if name in given and holds[name] is Hold.CUBIC:
+        for place, name in curves:
+            if name in given:
                 curved = True
                 # The curve to the next sample depends on the one after, which is not known yet: extrapolate linearly.
-                chord = given[name] - rows.row_inputs[row, number]
-                rows.row_inputs[row + 1 : row + 3, number] = given[name] + chord * np.arange(len(rows) - row - 1)[:2]
-            elif name in given:
-                rows.row_inputs[row, number] = given[name]
-        if curved and before is not None:  # only now the curve to this sample is known
+                chord = given[name] - inputs[row, place]
+                inputs[row + 1, place] = given[name]
+                if row + 2 <= last:
+                    inputs[row + 2, place] = given[name] + chord
+        if curved and known:  # only now the curve to this sample is known
             memory.restore(before)
             move(row - 1, row, True)
-        rows.measured[row] += noise
-        memory.x += kick
-        before = memory.copy() if curved else None
+        if noise:
+            for place in channels:
+                measured[row, place] += noise[row - first][place]
+            memory.x += kicks[row - first]
+        if curved:
+            before.restore(memory)
+        known = curved
         move(row, row + 1, True)
 
 

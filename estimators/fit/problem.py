@@ -30,8 +30,12 @@ Array = NDArray[np.float64]
 
 SHORT = 2e-4
 """Share of a sampling period over which a difference approximates a time derivative: 1 microsecond at 200 Hz."""
-FINEST = 0.35
-"""Largest step times fastest pole for Runge-Kutta; steps are divided until they are below it."""
+STEP, DECAY = 0.35, 0.7
+"""Largest step of Runge-Kutta times the frequency of a pole, and times its decay, each per s. Longer steps damp an
+oscillation themselves: at 0.7 it would lose 0.7 % of its amplitude in a period. What decays that fast is off by 0.3 %
+in a step, and no later."""
+MOST = 50
+"""Steps per sample, at most."""
 SLOWEST = 0.1
 """Least share of the rate from differences of an angle that counts as motion, even if noise explains all of it."""
 
@@ -242,9 +246,15 @@ def _substeps(model: Model, kernel: Kernel, values: Array, data: Sequence[Segmen
 def substeps_of(kernel: Kernel, values: Array, data: Sequence[Segment], motion: Array) -> int:
     """Steps per sample that the fastest pole requires at parameter values (np,), at rest and in the state `motion`
     (nx,)."""
-    matrices = [jacobian(kernel, values, data, state) for state in (None, motion)]
-    fastest = float(np.max(np.abs(np.linalg.eigvals(np.array(matrices)))))
-    return int(np.clip(np.ceil(float(np.median(np.diff(data[0].time))) * fastest / FINEST), 1, 50))
+    matrices = np.array([jacobian(kernel, values, data, state) for state in (None, motion)])
+    return steps_within(float(np.median(np.diff(data[0].time))), matrices)
+
+
+def steps_within(period: float, matrices: Array) -> int:
+    """Steps of Runge-Kutta within `period` s that continuous system matrices (..., nx, nx) require."""
+    poles = np.linalg.eigvals(matrices)
+    steps = period * max(float(np.abs(poles.imag).max()) / STEP, float(np.abs(poles.real).max()) / DECAY)
+    return int(np.clip(np.ceil(steps), 1, MOST))
 
 
 def initial_state(model: Model, segment: Segment) -> Array:

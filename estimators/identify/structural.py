@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
 
 from upright.estimators.contract import EstimationError
-from upright.estimators.fit.problem import FINEST, jacobian
+from upright.estimators.fit.problem import jacobian, steps_within
 from upright.models.compiler.kernel import Kernel, compile_model
 from upright.models.expressions import names_in, parse
 from upright.models.model import Model
@@ -227,10 +227,8 @@ def _sensitivities(kernel: Kernel, values: Array, motions: Sequence[Motion], col
     """Sensitivities (m, np) to the parameters, each output in multiples of its standard deviation, with initial states
     projected out."""
     segments = [motion.segment for motion in motions]
-    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, values, segments)))))
-    substeps = [
-        int(np.clip(np.ceil(float(np.median(np.diff(each.time))) * fastest / FINEST), 1, 50)) for each in segments
-    ]
+    matrix = jacobian(kernel, values, segments)
+    substeps = [steps_within(float(np.median(np.diff(each.time))), matrix) for each in segments]
     starts = range(len(kernel.parameters), len(kernel.parameters) + len(kernel.states))
     runs = [
         kernel.run(motion.segment, values, motion.initial, active=(*columns, *starts), substeps=steps)

@@ -76,7 +76,8 @@ class Memory:
     def restore(self, to: Memory) -> None:
         """Return to the point `to`, in the same arrays."""
         for mine, other in zip(self._arrays, to._arrays, strict=True):
-            mine[...] = other
+            if mine.size:
+                mine[...] = other
 
     @property
     def _arrays(self) -> tuple[NDArray[Any], ...]:
