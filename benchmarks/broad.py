@@ -1,9 +1,9 @@
 """Compare the roll filter and VQF with optical ground truth, in one run: `python benchmarks/broad.py [TRIAL]...`
 
 Each BROAD trial (Laidig et al., Data 6(7), 2021) is encoded as the CAN frames of an LPMS-IG1, replayed through
-`drivers.imu` and the roll filter with the settings of vehicles/monocab/vehicle.toml, and scored as in BROAD: RMS of the
-inclination error, the angle between the estimated and the true up vector, over the samples of the movement phase that
-have ground truth. VQF (6-D: gyro and accelerometer) gets the readings directly.
+`drivers.imu.imu` and the roll filter with the settings of vehicles/monocab/vehicle.toml, and scored as in BROAD: RMS of
+the inclination error, the angle between the estimated and the true up vector, over the samples of the movement phase
+that have ground truth. VQF (6-D: gyro and accelerometer) gets the readings directly.
 
 VQF takes a gyro reading as the mean over the interval that ends at it. The roll filter takes it as the instantaneous
 rate, which here lies half an interval back. So the filter's estimate is extrapolated over that half interval with the
@@ -31,8 +31,8 @@ import vqf
 from rich.console import Console
 from rich.table import Table
 
-from upright.drivers.imu import Imu
-from upright.drivers.imu_layout import ACCELERATION, ANGULAR_RATE, ImuConfig, encode_frames
+from upright.drivers.imu.imu import Imu
+from upright.drivers.imu.layout import ACCELERATION, ANGULAR_RATE, ImuConfig, encode_frames
 from upright.estimators.roll_filter import RollFilter, RollFilterConfig
 from upright.telemetry.samples import ImuSample
 

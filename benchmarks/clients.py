@@ -33,7 +33,7 @@ from hostile_client import KINDS
 from turnaround import Monitor, answered, running
 from vehicle_at import at_rate
 
-from upright.drivers.bus import BusError
+from upright.drivers.bus.bus import BusError
 from upright.service.control.clients.api import ApiError, call
 from upright.service.control.cycle.loop import Mode
 from upright.service.control.daemon import Daemon, Places

@@ -24,7 +24,7 @@ from dashboard_parts import UPRIGHT, broker, browser, daemon, live, opened, serv
 from dashboard_story import Publisher
 from scipy.stats import t as student
 
-from upright.drivers.bus_address import connect
+from upright.drivers.bus.address import connect
 from upright.service.control.assembly import imu_config
 from upright.vehicles.file import load
 from upright.vehicles.sections import VehicleFile

@@ -29,7 +29,7 @@ from upright.estimators.identify.run import with_values
 from upright.estimators.identify.validation import on_others
 from upright.estimators.methods.prediction_error import predicted_percent
 from upright.estimators.recursive.prediction_error import RecursivePredictionError
-from upright.models.expressions import number
+from upright.models.text.expressions import number
 from upright.service.virtual.run import record
 from upright.simulation.twsbr.truth import TwsbrTruth
 from upright.vehicles.file import load

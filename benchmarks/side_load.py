@@ -27,9 +27,9 @@ from upright.service.offline.diagnose import diagnosed
 from upright.service.virtual.run import record
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
+from upright.vehicles.experiment.load import with_load
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile, load
-from upright.vehicles.load import with_load
-from upright.vehicles.phases import Phase
 
 SEED = 400
 """Of the records. No setting was chosen with it."""

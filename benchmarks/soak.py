@@ -32,7 +32,7 @@ from clients import FIRST, READER, REPLY, SECOND, TRIGGER, UPRIGHT, ask, until
 from scipy.stats import t as student
 from turnaround import answered, listening, running
 
-from upright.drivers.bus import BusError
+from upright.drivers.bus.bus import BusError
 from upright.drivers.cia402.nmt import HEARTBEAT_COB_ID
 from upright.vehicles.file import load
 

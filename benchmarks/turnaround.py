@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from upright.drivers.bus import Bus, BusError
+from upright.drivers.bus.bus import Bus, BusError
 
 HERE = Path(__file__).resolve().parent
 READ_PERIOD = 0.2

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from upright.drivers.cia402 import pdo
 from upright.drivers.cia402.nmt import COMMAND_COB_ID, EMERGENCY_COB_ID, HEARTBEAT_COB_ID
-from upright.drivers.imu_layout import CANOPEN_SPACING, VALUES_PER_FRAME
+from upright.drivers.imu.layout import CANOPEN_SPACING, VALUES_PER_FRAME
 
 SYNC_COB_ID = 0x080
 SDO_ANSWER_COB_ID = 0x580
@@ -48,7 +48,7 @@ def owners(master_node: int, drives: Iterable[Node]) -> dict[int, str]:
 
 
 def imu_ids(protocol: str, base_id: int, precision: str, slots: Sequence[str]) -> tuple[int, ...]:
-    """The ids of an IMU's frame set, as `drivers.imu_layout.ImuConfig` has them."""
+    """The ids of an IMU's frame set, as `drivers.imu.layout.ImuConfig` has them."""
     frames = -(-len(slots) // VALUES_PER_FRAME[precision])
     return tuple(base_id + place * (CANOPEN_SPACING if protocol == "canopen" else 1) for place in range(frames))
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import canopen
 
-from upright.drivers.bus import Bus, BusError
+from upright.drivers.bus.bus import Bus, BusError
 from upright.telemetry.samples import CanFrame
 
 SERVICES = frozenset((0x080, 0x580, 0x700))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.cia402.states import State
-from upright.drivers.imu import Imu
+from upright.drivers.imu.imu import Imu
 from upright.telemetry.samples import CanFrame, ImuSample
 
 LARGEST = 8

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from upright.models.effect import AttachedEffect, Effect
 from upright.models.effects.catalogue import find
-from upright.models.expressions import check, names_in, number
 from upright.models.grey_box import GreyBox
 from upright.models.natural_time import rounded
 from upright.models.parts import Actuator, Joint, ModelError, Parameter, Place, Sensor, State
 from upright.models.place import VOCABULARY, offer, places_of
 from upright.models.sensing import BEGUN, FILTERED, integrated
+from upright.models.text.expressions import check, names_in, number
 
 BELONGING: Mapping[Place, tuple[str, ...]] = {
     Place.JOINT: ("force", "twist"),

@@ -29,8 +29,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from upright.models.expressions import names_in
 from upright.models.parts import Parameter, Place, State
+from upright.models.text.expressions import names_in
 
 
 class Family(StrEnum):

@@ -2,8 +2,8 @@
 
     state' = derivative(states, inputs, parameters, time),    output = expression(states, inputs, parameters, time)
 
-Expressions are text (see models.expressions for what they may contain), so that a model is plain data: it can be read
-from a TOML file, hashed, compared and printed, and it is cheap to import. `models.compiler.kernel` compiles it.
+Expressions are text (see models.text.expressions for what they may contain), so that a model is plain data: it can be
+read from a TOML file, hashed, compared and printed, and it is cheap to import. `models.compiler.kernel` compiles it.
 
 Besides states, inputs, parameters and `time` (s), an expression may use a name from `definitions`, `INPUT_slope` (the
 slope of an input that is interpolated by a curve) and `JOINT_force`, the total generalised force at a joint: its own

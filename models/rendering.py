@@ -14,10 +14,10 @@ from enum import StrEnum
 from typing import Any
 
 from upright.models.effect import AttachedEffect
-from upright.models.expressions import names_in, parse, renamed
 from upright.models.model import Model
 from upright.models.parts import Actuator, Filter, Joint, Place, Sensor
 from upright.models.sensing import FILTERED, delayed, integrated
+from upright.models.text.expressions import names_in, parse, renamed
 
 
 class Kind(StrEnum):

@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from upright.models.expressions import names_in, number
 from upright.models.grey_box import GreyBox
 from upright.models.parts import Actuator, Joint, Place, Sensor
 from upright.models.place import VOCABULARY
+from upright.models.text.expressions import names_in, number
 
 if TYPE_CHECKING:
     from upright.models.effect import AttachedEffect, Effect

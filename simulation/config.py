@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
-from upright.simulation.disturbance import Disturbance, RandomTorque
 from upright.simulation.drive_habits import DriveHabits
-from upright.simulation.narrow_band import NarrowBand, NarrowBandTorque
+from upright.simulation.physics.disturbance import Disturbance, RandomTorque
+from upright.simulation.physics.narrow_band import NarrowBand, NarrowBandTorque
 from upright.simulation.registry import Registry, sizes_of
 from upright.telemetry.samples import Vector3
 

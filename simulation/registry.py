@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
-from upright.simulation.disturbance import Disturbance
-from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.narrow_band import NarrowBand
 from upright.telemetry.errors import UprightError
 
 

@@ -21,7 +21,7 @@ import can
 from upright.simulation.bus.port import BusPort, PortStatistics, Received
 from upright.simulation.config import SimulationConfig
 from upright.simulation.faults import Fault
-from upright.simulation.load import Load, Tilt
+from upright.simulation.physics.load import Load, Tilt
 from upright.simulation.vehicle import SYNC_ID, VirtualVehicle
 
 MOST_BEHIND = 10

@@ -16,7 +16,7 @@ from upright.simulation.bus.object_dictionary import SimulationError
 from upright.simulation.config import DriveNode, SimulationConfig
 from upright.simulation.faults import FAULTS, Fault
 from upright.simulation.kinds import machine
-from upright.simulation.load import Load, Tilt
+from upright.simulation.physics.load import Load, Tilt
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000

@@ -64,7 +64,7 @@ EXCITATION = Channel(
     "value of the excitation, in the unit of what it is added to: rad on the reference, rad/s or V on the controller "
     "output",
 )
-PHASE = Channel("phase", "1", "phase of the experiment, see vehicles.phases.Phase")
+PHASE = Channel("phase", "1", "phase of the experiment, see vehicles.experiment.phases.Phase")
 
 COMMON = (SETPOINT_AGE, DRIVE_AGE, EXCITATION, PHASE)
 """The channels that the service records of every vehicle."""

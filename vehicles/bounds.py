@@ -88,8 +88,9 @@ DEGREES_PER_SECOND = Unit("deg/s", degrees(1.0))
 DEVIATIONS = Unit("standard deviations", digits=1)
 
 CONTRADICTION = 6.0
-"""Standard deviations by which accelerometer and gyro may contradict each other (estimators.imu_consistency). Vibration
-as strong as stated is beyond it once in 2,200 h: 2e-9 of the 2.2e5 independent means of three axes in an hour."""
+"""Standard deviations by which accelerometer and gyro may contradict each other (estimators.checks.imu_consistency).
+Vibration as strong as stated is beyond it once in 2,200 h: 2e-9 of the 2.2e5 independent means of three axes in an
+hour."""
 
 
 @dataclass(frozen=True, slots=True)

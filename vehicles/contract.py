@@ -23,7 +23,7 @@ from upright.estimators.roll_filter import RollState
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.samples import Vector3
 from upright.vehicles.bounds import Bound
-from upright.vehicles.excitation import Excitation
+from upright.vehicles.experiment.excitation import Excitation
 from upright.vehicles.sections import VehicleFile
 from upright.vehicles.views import Views
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from upright.diagnosis.prediction.closed_loop import Experiment
     from upright.diagnosis.prediction.closed_loop_error import Loop
     from upright.estimators.identify.subject import OwnMethods
-    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.models.control_design.robustness import CheckedDesign, Known
     from upright.models.model import Model
     from upright.simulation.config import Truth
     from upright.telemetry.recording import Recording
@@ -143,7 +143,7 @@ class Watch(Protocol[M_in]):
 
     @property
     def averaged(self) -> Sequence[float]:
-        """s over which gyro and accelerometer are compared (estimators.imu_consistency)."""
+        """s over which gyro and accelerometer are compared (estimators.checks.imu_consistency)."""
         ...
 
     def unexplained(self, contradiction: Vector3) -> Vector3:

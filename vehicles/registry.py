@@ -80,7 +80,7 @@ def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:
     The free run of a model needs this loop to be comparable with a recording of an unstable vehicle. The controller is
     that of the vehicle file, designed for the parameters in the recording's metadata.
     """
-    from upright.vehicles.recorded import designed_for
+    from upright.vehicles.experiment.recorded import designed_for
 
     with suppress(ValueError):  # values that this vehicle cannot have: then its controller is not this one
         vehicle = vehicle.with_values(designed_for(recording))

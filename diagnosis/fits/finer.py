@@ -2,7 +2,7 @@
 
 What the usual formula of an effect leaves looks like another effect. Dry friction whose contact bends before it slides,
 modelled as the sign of the rate, leaves what looks like backlash, like friction that falls with the rate, or like
-something that no effect explains (tests/diagnosis/test_finer.py).
+something that no effect explains (tests/diagnosis/fits/test_finer.py).
 """
 
 from __future__ import annotations

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from upright.diagnosis.lack_of_fit.floor import Floor, Innovations
 from upright.estimators.fit.problem import typical_motion
 from upright.models.compiler.kernel import Kernel, Progress, compile_model
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.parts import Hold, Input, Joint, Output
 from upright.models.segment import Segment
+from upright.models.text.expressions import names_in
 
 Array = NDArray[np.float64]
 

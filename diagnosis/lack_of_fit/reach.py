@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from upright.estimators.data.time_scale import time_scale
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.problem import Problem
-from upright.models.expressions import names_in, number
+from upright.models.text.expressions import names_in, number
 
 Array = NDArray[np.float64]
 

@@ -116,7 +116,9 @@ def steps(
         rows, values, memory, None, (), rows.measured, np.empty((*rows.measured.shape, 0)), substeps=task.substeps
     )
     # Tens of thousands of samples, each a few microseconds of mathematics: plain numbers, and views made once.
-    instants, measured, inputs = rows.time.tolist(), rows.measured.data, rows.row_inputs.data
+    instants = rows.time.tolist()
+    measured: Any = rows.measured.data  # typeshed does not know views of more than one dimension
+    inputs: Any = rows.row_inputs.data
     last, channels = len(instants) - 1, range(len(kernel.outputs))
     holds = {each.name: each.hold for each in task.model.inputs}
     held = [(place, name) for place, name in enumerate(kernel.inputs) if holds[name] is not Hold.CUBIC]

@@ -17,9 +17,9 @@ from upright.estimators.contract import Status
 from upright.estimators.data.quantised import step_of
 from upright.estimators.data.segments import DataError, segments
 from upright.estimators.data.time_scale import motion_time, time_scale
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.segment import Segment
+from upright.models.text.expressions import names_in
 from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -39,10 +39,10 @@ from upright.estimators.fit.problem import problem
 from upright.estimators.fit.released import released
 from upright.models.effect import Effect
 from upright.models.effects.catalogue import find
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.natural_time import rounded
 from upright.models.parts import ModelError
+from upright.models.text.expressions import names_in
 from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from upright.models.effect import Effect, EffectParameter, Family
 from upright.models.effects.catalogue import CATALOGUE, families
-from upright.models.expressions import names_in
 from upright.models.file import own_effects as custom
 from upright.models.parts import Place
 from upright.models.place import EVERY_JOINT, SCALES, UNITS, VOCABULARY
+from upright.models.text.expressions import names_in
 
 _INTRODUCTION = """\
 # Effects

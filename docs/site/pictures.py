@@ -19,9 +19,9 @@ from scipy.integrate import solve_ivp
 
 from upright.diagnosis.report.figures.drawing import AFTER, MEASURED, styled, svg
 from upright.models.effect import Effect
-from upright.models.expressions import names_in, number, parse
 from upright.models.parts import Place
 from upright.models.place import SCALES
+from upright.models.text.expressions import names_in, number, parse
 
 Array = NDArray[np.float64]
 

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from upright.estimators.contract import EstimationError, Status
 from upright.models.compiler.curves import read
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.natural_time import USUAL, natural_time
 from upright.models.parts import Hold, Input, Output
 from upright.models.segment import Segment
 from upright.models.sensing import filter_inputs
+from upright.models.text.expressions import names_in
 from upright.telemetry.channels import IDLE
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording

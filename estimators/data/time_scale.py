@@ -20,10 +20,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.natural_time import natural_time, rounded
 from upright.models.segment import Segment
+from upright.models.text.expressions import names_in
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,11 @@ from upright.estimators.data.white_noise import white_variance
 from upright.estimators.fit.gauss_newton import Block
 from upright.models import library
 from upright.models.compiler.kernel import Kernel, Progress, Run, compile_model
-from upright.models.expressions import number
 from upright.models.model import Model
 from upright.models.parts import Parameter
 from upright.models.random.disturbance import parameters_of
 from upright.models.segment import Segment
+from upright.models.text.expressions import number
 from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from upright.estimators.fit.maximum_likelihood import Fit
-from upright.models.expressions import names_in, parse
+from upright.models.text.expressions import names_in, parse
 
 
 def combinations(fitted: Fit, expressions: Mapping[str, str]) -> dict[str, tuple[float, float]]:

@@ -23,9 +23,9 @@ from scipy.linalg import null_space, qr
 from upright.estimators.contract import EstimationError
 from upright.estimators.fit.problem import jacobian, steps_within
 from upright.models.compiler.kernel import Kernel, compile_model
-from upright.models.expressions import names_in, parse
 from upright.models.model import Model
 from upright.models.segment import Segment
+from upright.models.text.expressions import names_in, parse
 
 Array = NDArray[np.float64]
 

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from upright.estimators.contract import EstimationError
 from upright.models import library
 from upright.models.compiler.equations import Equations, Magnitude, Signum, compose
-from upright.models.expressions import parse
 from upright.models.model import Model
 from upright.models.parts import Hold, Joint
 from upright.models.segment import Segment
+from upright.models.text.expressions import parse
 
 Array = NDArray[np.float64]
 

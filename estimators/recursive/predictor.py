@@ -44,9 +44,9 @@ from upright.estimators.fit.stationary_start import stationary_spread
 from upright.estimators.recursive.frame_chunks import Chunk, join
 from upright.estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from upright.models.compiler.kernel import Memory
-from upright.models.expressions import number
 from upright.models.parts import Output
 from upright.models.segment import Segment
+from upright.models.text.expressions import number
 
 Array = NDArray[np.float64]
 

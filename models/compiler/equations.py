@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass
 import sympy
 
 from upright.models.effect import AttachedEffect
-from upright.models.expressions import names_in, parse
 from upright.models.model import Model
 from upright.models.parts import Actuator, Hold, Joint, ModelError, Place, Sensor
 from upright.models.place import VOCABULARY
 from upright.models.sensing import FILTERED, delayed, integrated
+from upright.models.text.expressions import names_in, parse
 
 Symbols = Mapping[str, sympy.Expr]
 

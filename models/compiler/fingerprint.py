@@ -39,7 +39,7 @@ def _sources() -> str:
     """Changes with any change of the code that generates machine code."""
     here = Path(__file__).parent
     compiler = ("codegen", "column_code", "derivatives", "equations", "loops", "machine_code")
-    above = ("expressions", "expression_syntax", "sensing")
+    above = ("text/expressions", "text/syntax", "sensing")
     files = [*(here / f"{name}.py" for name in compiler), *(here.parent / f"{name}.py" for name in above)]
     return hashlib.sha256(b"".join(each.read_bytes() for each in files)).hexdigest()
 

@@ -9,10 +9,10 @@ from string import Formatter
 from upright.models.attach import check_names
 from upright.models.effect import Effect, EffectParameter
 from upright.models.effects.catalogue import CATALOGUE
-from upright.models.expressions import name_problem, number
 from upright.models.parts import ModelError, Place
 from upright.models.place import SCALES, UNITS, VOCABULARY
 from upright.models.sensing import FILTERED
+from upright.models.text.expressions import name_problem, number
 
 _TRIES = 40
 """Random motions on which neutrality is tested; a term that is inactive in one is active in another."""

@@ -11,7 +11,6 @@ from dataclasses import MISSING, fields, replace
 from typing import Any, TypeVar
 
 from upright.models import library
-from upright.models.expressions import check, length, name_problem, names_in
 from upright.models.file.sections import JointSection, ModelSection, ParameterSection, Section, one_of
 from upright.models.model import Model
 from upright.models.parts import (
@@ -29,6 +28,7 @@ from upright.models.parts import (
     State,
 )
 from upright.models.random.part import MOST_DAMPED
+from upright.models.text.expressions import check, length, name_problem, names_in
 
 Build = TypeVar("Build")
 

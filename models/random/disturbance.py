@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.parts import Disturbance, Joint, NarrowBand, State
 from upright.models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
+from upright.models.text.expressions import names_in
 from upright.telemetry.recording import Recording
 
 SMALL = 0.02

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from upright.models.expressions import names_in, renamed
 from upright.models.model import Model
 from upright.models.parts import Parameter, State
+from upright.models.text.expressions import names_in, renamed
 
 SHARE = "noise_share_"
 USUAL = "usual_"

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from upright.models.expressions import names_in
 from upright.models.model import Model
 from upright.models.parts import NarrowBand, Output
 from upright.models.random.disturbance import narrow_at_joints
 from upright.models.random.input_noise import noisy_inputs
 from upright.models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
+from upright.models.text.expressions import names_in
 
 PREFIX = "error_of_"
 FIRST = 5.0

@@ -14,7 +14,7 @@ from upright.service.output import page, people
 from upright.service.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from upright.simulation.disturbance import Disturbance
+    from upright.simulation.physics.disturbance import Disturbance
     from upright.vehicles.file import VehicleFile
 
 BusOption = Annotated[

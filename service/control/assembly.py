@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from upright.drivers.cia402.drive import Drive
-from upright.drivers.imu import Imu
-from upright.drivers.imu_layout import ImuConfig
+from upright.drivers.imu.imu import Imu
+from upright.drivers.imu.layout import ImuConfig
 from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.roll_filter import RollFilter, RollFilterConfig
 from upright.telemetry.channels import ChannelTable

@@ -14,14 +14,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from upright.drivers.bus import Bus, BusDown, BusError, BusGroup
-from upright.drivers.bus_lock import BusLock, lock_buses
+from upright.drivers.bus.bus import Bus, BusDown, BusError, BusGroup
+from upright.drivers.bus.lock import BusLock, lock_buses
+from upright.drivers.bus.socketcan import start_clock
 from upright.drivers.canopen_link import CanopenLink
 from upright.drivers.cia402.config import DriveConfig
 from upright.drivers.cia402.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
-from upright.drivers.imu_format import check_format
-from upright.drivers.socketcan import start_clock
+from upright.drivers.imu.format import check_format
 from upright.service.control import assembly, realtime
 from upright.service.control.clients.commands import Commands
 from upright.service.control.clients.mqtt_replies import MqttReplies

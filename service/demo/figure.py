@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from upright.service.control import assembly
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile
-from upright.vehicles.phases import Phase
 from upright.vehicles.views import DARK, LIGHT, Panel, Story
 
 PERIOD = 0.25

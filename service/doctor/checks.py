@@ -15,7 +15,7 @@ CAN_INTERRUPT = 50
 """Real-time priority of interrupt threads on PREEMPT_RT kernels."""
 
 RECEIVE_BUFFER = 1 << 20
-"""Bytes that the daemon asks for (drivers.socketcan)."""
+"""Bytes that the daemon asks for (drivers.bus.socketcan)."""
 
 GOOD_SOURCES = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page", "xen", "um_timer", "timer")
 """Clock sources that are read without leaving the processor, or that a virtual machine has instead."""

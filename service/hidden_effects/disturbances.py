@@ -21,7 +21,7 @@ from typing import Protocol
 import numpy as np
 
 from upright.simulation.config import ImuNode, Truth
-from upright.simulation.disturbance import Disturbance
+from upright.simulation.physics.disturbance import Disturbance
 from upright.vehicles import registry
 
 NONE = "none"

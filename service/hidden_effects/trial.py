@@ -23,7 +23,7 @@ from upright.service.hidden_effects.sizes import SAME_EQUATION, NotDetectableErr
 from upright.service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from upright.service.hidden_effects.vehicles import Vehicle, drawn
 from upright.simulation.config import EVENT_TIME, ImuNode, SimulationConfig
-from upright.simulation.disturbance import Disturbance
+from upright.simulation.physics.disturbance import Disturbance
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles.file import load

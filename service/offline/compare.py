@@ -10,7 +10,7 @@ from upright.models.model import Model
 from upright.service.offline.inputs.machine import loops_of, support_of
 from upright.service.offline.inputs.question import asked_of
 from upright.telemetry.recording import Recording
-from upright.vehicles.load import with_load
+from upright.vehicles.experiment.load import with_load
 from upright.vehicles.sections import VehicleFile
 
 

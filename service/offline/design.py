@@ -1,9 +1,9 @@
 """Design of the vehicle's controllers for a result of the identification, and what to expect of them.
 
 Each controller is checked wherever the parameters may be: in the corners of the 95 % region of their joint estimate,
-and at 1,000 draws from it (models.control_robustness), each time with the effects that were added to the model that
-the result belongs to (models.linear_effects). Then the experiments are predicted with that model, and with the
-controllers as designed.
+and at 1,000 draws from it (models.control_design.robustness), each time with the effects that were added to the model
+that the result belongs to (models.control_design.linear_effects). Then the experiments are predicted with that model,
+and with the controllers as designed.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from upright.diagnosis.prediction.closed_loop import Course, Experiment, causal, simulate
-from upright.models.control_robustness import CheckedDesign, Known
+from upright.models.control_design.linear_effects import LinearEffects
+from upright.models.control_design.robustness import CheckedDesign, Known
 from upright.models.file.model_file import load_model
-from upright.models.linear_effects import LinearEffects
 from upright.models.model import Model
 from upright.models.parts import Parameter
 from upright.service.offline.models import identified_model
@@ -28,9 +28,9 @@ from upright.service.offline.next_experiment import require_predictable
 from upright.telemetry.documents import from_json
 from upright.telemetry.errors import UprightError
 from upright.vehicles import registry
-from upright.vehicles.excitation import ExcitationError
+from upright.vehicles.experiment.excitation import ExcitationError
+from upright.vehicles.experiment.load import loaded
 from upright.vehicles.file import VehicleFile
-from upright.vehicles.load import loaded
 from upright.vehicles.sections import REST
 
 INDEPENDENT = "a model file, as if they were independent"

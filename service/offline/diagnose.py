@@ -31,8 +31,8 @@ from upright.service.offline.next_experiment import suggest_for
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
+from upright.vehicles.experiment.load import refuse_loads, with_load
 from upright.vehicles.file import VehicleFile
-from upright.vehicles.load import refuse_loads, with_load
 
 BUDGET, ROWS = 60.0, 12_000
 """Default time limit, s, of a diagnosis of so many samples; proportionally more for more samples."""

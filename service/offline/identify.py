@@ -20,7 +20,7 @@ from upright.service.offline.models import identified_model
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
-from upright.vehicles.load import refuse_loads
+from upright.vehicles.experiment.load import refuse_loads
 from upright.vehicles.sections import VehicleFile
 
 

@@ -21,7 +21,7 @@ from upright.models.file.model_file import read, write
 from upright.models.model import Model
 from upright.models.parts import ModelError
 from upright.service.offline.models import SUFFIXES, chosen_effect, identified_model
-from upright.vehicles.load import without_load
+from upright.vehicles.experiment.load import without_load
 from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from upright.models.segment import Segment
 from upright.service.offline.next_experiment import require_predictable
 from upright.telemetry.errors import UprightError
 from upright.vehicles import registry
-from upright.vehicles.excitation import ExcitationError, Multisine, make_excitation
+from upright.vehicles.experiment.excitation import ExcitationError, Multisine, make_excitation
 from upright.vehicles.file import VehicleFile
 from upright.vehicles.sections import REST, ExperimentSection, is_reference
 

@@ -21,7 +21,7 @@ from upright.models.parts import ModelError
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
-from upright.vehicles.excitation import ExcitationError
+from upright.vehicles.experiment.excitation import ExcitationError
 from upright.vehicles.sections import REST, VehicleFile
 
 SMALL = 0.03

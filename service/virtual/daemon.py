@@ -13,9 +13,9 @@ from upright.service.control.daemon import Daemon, Places
 from upright.service.virtual.passenger import carried
 from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.simulation.config import SimulationConfig
-from upright.simulation.disturbance import Disturbance
 from upright.simulation.faults import Fault
-from upright.simulation.load import Load, Tilt
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.load import Load, Tilt
 from upright.simulation.vehicle import VirtualVehicle
 from upright.vehicles.sections import VehicleFile
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from upright.service.control.clients import api
-from upright.simulation.load import Load, Tilt
+from upright.simulation.physics.load import Load, Tilt
 from upright.vehicles.sections import LoadSection, TiltSection
 
 LOOK = 0.2

@@ -30,8 +30,8 @@ from upright.simulation.vehicle import VirtualVehicle
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import CanFrame, Frame
+from upright.vehicles.experiment.phases import DURATIONS, TIMEOUTS
 from upright.vehicles.file import VehicleFile, load
-from upright.vehicles.phases import DURATIONS, TIMEOUTS
 
 Configure = Callable[[SimulationConfig], SimulationConfig]
 

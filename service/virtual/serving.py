@@ -15,13 +15,13 @@ from typing import Any
 
 import can
 
-from upright.drivers.bus_address import connect
+from upright.drivers.bus.address import connect
 from upright.service.virtual import vehicle as virtual_vehicle
 from upright.simulation import runner
 from upright.simulation.config import SimulationConfig
-from upright.simulation.disturbance import Disturbance
 from upright.simulation.faults import Fault
-from upright.simulation.load import Load, Tilt
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.load import Load, Tilt
 from upright.simulation.vehicle import VirtualVehicle
 from upright.vehicles.sections import VehicleFile
 

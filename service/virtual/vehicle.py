@@ -10,13 +10,13 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
-from upright.drivers.bus_address import connect
+from upright.drivers.bus.address import connect
 from upright.drivers.cia402.config import find_eds
 from upright.simulation import runner
 from upright.simulation.config import DriveNode, ImuNode, SimulationConfig
-from upright.simulation.disturbance import Disturbance
 from upright.simulation.faults import Fault
-from upright.simulation.load import Load, Tilt
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.load import Load, Tilt
 from upright.simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
 from upright.simulation.runner import RunStatistics
 from upright.vehicles import registry

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from upright.simulation.bus.drive_application import DriveApplication
 from upright.simulation.config import DriveNode
-from upright.simulation.load import LoadTorque
+from upright.simulation.physics.load import LoadTorque
 from upright.telemetry.samples import Vector3
 
 Motion = tuple[float, ...]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from upright.simulation.config import EVENT_TIME
-from upright.simulation.friction import AsymmetricFriction, LuGreFriction, StribeckFriction
+from upright.simulation.physics.friction import AsymmetricFriction, LuGreFriction, StribeckFriction
 
 EDGE_DEFLECTION = 2.0e-4
 """rad of the body at which the bristles of the edge begin to slide: 2 hundredths of a mm at its seat."""

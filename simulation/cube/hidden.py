@@ -2,13 +2,14 @@
 
 Amplitudes at level 1 are plausible for a cube of 0.6 kg: gravity exerts 8 mN m per degree of tilt, the drive 160 mN m.
 Effects named `wheel_...` act between wheel and body, as in bearings; other torques act on the body, as at the edge.
-Formulas are in `effects`, `simulation.friction`, `simulation.input_effects` and `simulation.bus.imu_node`.
+Formulas are in `effects`, `simulation.physics.friction`, `simulation.physics.input_effects` and
+`simulation.bus.imu_node`.
 """
 
 from __future__ import annotations
 
-from upright.simulation.disturbance import Disturbance
-from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.narrow_band import NarrowBand
 from upright.simulation.registry import HiddenEffect, Registry
 
 CUBE_HIDDEN: dict[str, HiddenEffect] = {

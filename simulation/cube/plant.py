@@ -14,14 +14,14 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
+from upright.simulation.bus.drives.torque_drive import TorqueDrive
 from upright.simulation.bus.machine import Machine, Motion
-from upright.simulation.bus.torque_drive import TorqueDrive
 from upright.simulation.config import DriveNode, SimulationConfig
-from upright.simulation.contact import Supports
 from upright.simulation.cube.effects import edge_effects, wheel_effects
 from upright.simulation.cube.truth import CubeTruth
 from upright.simulation.cube.wheel import Wheel
-from upright.simulation.input_effects import input_effects
+from upright.simulation.physics.contact import Supports
+from upright.simulation.physics.input_effects import input_effects
 from upright.simulation.registry import check_onsets
 from upright.telemetry.samples import Vector3
 

@@ -6,7 +6,7 @@ import math
 import random
 
 from upright.simulation.cube.truth import CubeTruth
-from upright.simulation.input_effects import InputEffect
+from upright.simulation.physics.input_effects import InputEffect
 
 
 class Wheel:

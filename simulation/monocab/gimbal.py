@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from upright.simulation.servo_axis import AxisMode, ServoAxis
+from upright.simulation.physics.servo_axis import AxisMode, ServoAxis
 
 BACKLASH_STIFFNESS = 2.0e5
 """N m/rad of the chain drive, beyond its backlash."""

@@ -1,14 +1,14 @@
 """What the MONOCAB may contain that its nominal model lacks.
 
 Amplitudes at level 1 are physically plausible: a few percent of the 1000 N m that gravity exerts at the supports,
-or a few milliseconds. Formulas are in `roll_effects`, `simulation.friction`, `simulation.input_effects`, `gimbal` and
-`simulation.bus.imu_node`.
+or a few milliseconds. Formulas are in `roll_effects`, `simulation.physics.friction`,
+`simulation.physics.input_effects`, `gimbal` and `simulation.bus.imu_node`.
 """
 
 from __future__ import annotations
 
-from upright.simulation.disturbance import Disturbance
-from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.narrow_band import NarrowBand
 from upright.simulation.registry import HiddenEffect, Registry
 
 HIDDEN: dict[str, HiddenEffect] = {

@@ -15,16 +15,16 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from upright.simulation.bus.drives.servo_drive import ServoDrive
 from upright.simulation.bus.machine import Machine, Motion
-from upright.simulation.bus.servo_drive import ServoDrive
 from upright.simulation.config import DriveNode, SimulationConfig
-from upright.simulation.contact import Supports
-from upright.simulation.input_effects import input_effects
 from upright.simulation.monocab.gimbal import Gimbal
 from upright.simulation.monocab.roll_effects import roll_effects
 from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.physics.contact import Supports
+from upright.simulation.physics.input_effects import input_effects
+from upright.simulation.physics.servo_axis import AxisMode, ServoAxis
 from upright.simulation.registry import check_onsets
-from upright.simulation.servo_axis import AxisMode, ServoAxis
 from upright.telemetry.samples import Vector3
 
 DEFAULT_GIMBAL_PER_TURN = 2.0 * math.pi / 100.0

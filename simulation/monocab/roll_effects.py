@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from upright.simulation.config import EVENT_TIME
-from upright.simulation.friction import (
+from upright.simulation.monocab.gimbal import Gimbal
+from upright.simulation.physics.friction import (
     AsymmetricFriction,
     BoucWenHysteresis,
     LoadDependentFriction,
@@ -19,7 +20,6 @@ from upright.simulation.friction import (
     Rolling,
     StribeckFriction,
 )
-from upright.simulation.monocab.gimbal import Gimbal
 
 
 class RollingVehicle(Rolling, Protocol):

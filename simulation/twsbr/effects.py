@@ -7,7 +7,12 @@ import math
 from collections.abc import Callable, Mapping
 
 from upright.simulation.config import EVENT_TIME
-from upright.simulation.friction import AsymmetricFriction, LoadDependentFriction, LuGreFriction, StribeckFriction
+from upright.simulation.physics.friction import (
+    AsymmetricFriction,
+    LoadDependentFriction,
+    LuGreFriction,
+    StribeckFriction,
+)
 from upright.simulation.twsbr.motor import Motor
 
 BRISTLE_DEFLECTION = 2.0e-4

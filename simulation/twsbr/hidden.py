@@ -8,8 +8,8 @@ that of a tyre on a hard floor is a tenth of it. Formulas are in `effects`, `mec
 
 from __future__ import annotations
 
-from upright.simulation.disturbance import Disturbance
-from upright.simulation.narrow_band import NarrowBand
+from upright.simulation.physics.disturbance import Disturbance
+from upright.simulation.physics.narrow_band import NarrowBand
 from upright.simulation.registry import HiddenEffect, Registry
 
 TWSBR_HIDDEN: dict[str, HiddenEffect] = {

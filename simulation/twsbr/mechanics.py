@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from upright.simulation.contact import Supports
+from upright.simulation.physics.contact import Supports
 from upright.simulation.twsbr.truth import TwsbrTruth
 
 BACKLASH_STIFFNESS = 560.0

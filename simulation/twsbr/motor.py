@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from upright.simulation.input_effects import InputEffect
+from upright.simulation.physics.input_effects import InputEffect
 from upright.simulation.twsbr.mechanics import Drive
 from upright.simulation.twsbr.truth import TwsbrTruth
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
+from upright.simulation.bus.drives.voltage_drive import VoltageDrive
 from upright.simulation.bus.machine import Machine, Motion
-from upright.simulation.bus.voltage_drive import VoltageDrive
 from upright.simulation.config import DriveNode, SimulationConfig
-from upright.simulation.input_effects import input_effects
+from upright.simulation.physics.input_effects import input_effects
 from upright.simulation.registry import check_onsets
 from upright.simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
 from upright.simulation.twsbr.mechanics import PLACES, Drive, Held, Mechanics, State

@@ -1,5 +1,5 @@
-"""One definition of when an effect is needed. tests/diagnosis/test_hidden_catalogue.py checks that the effects which a
-diagnosis names are needed."""
+"""One definition of when an effect is needed. tests/diagnosis/records/test_hidden_catalogue.py checks that the effects
+which a diagnosis names are needed."""
 
 from __future__ import annotations
 

@@ -10,12 +10,12 @@ from uuid import uuid4
 
 import pytest
 
-from upright.drivers.bus_errors import BusError
-from upright.drivers.bus_lock import BusLock, lock_buses
+from upright.drivers.bus.errors import BusError
+from upright.drivers.bus.lock import BusLock, lock_buses
 
 HOLD = """
 import sys
-from upright.drivers.bus_lock import BusLock
+from upright.drivers.bus.lock import BusLock
 lock = BusLock(sys.argv[-1])
 print(flush=True)
 sys.stdin.read()

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from upright.drivers import socketcan
-from upright.drivers.frame_clock import STEP, FrameClock
-from upright.drivers.message_port import converted
+from upright.drivers.bus import socketcan
+from upright.drivers.bus.frame_clock import STEP, FrameClock
+from upright.drivers.bus.message_port import converted
 from upright.telemetry.samples import CanFrame
 
 MS, S = 1_000_000, 1_000_000_000

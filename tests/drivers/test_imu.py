@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upright.drivers.imu import Imu, ImuHealth
-from upright.drivers.imu_format import ImuFormatError, check_format, recognise_format
-from upright.drivers.imu_layout import (
+from upright.drivers.imu.format import ImuFormatError, check_format, recognise_format
+from upright.drivers.imu.imu import Imu, ImuHealth
+from upright.drivers.imu.layout import (
     ACCELERATION,
     ANGULAR_RATE,
     STANDARD_GRAVITY,

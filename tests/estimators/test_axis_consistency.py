@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from upright.estimators.axis_consistency import AxisConsistency
+from upright.estimators.checks.axis_consistency import AxisConsistency
 
 DT = 0.004
 LAG = 0.002

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from upright.estimators.imu_consistency import ImuConsistency
+from upright.estimators.checks.imu_consistency import ImuConsistency
 from upright.vehicles.bounds import CONTRADICTION
 
 RATE, STD = 250.0, 0.2

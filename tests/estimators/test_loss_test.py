@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from upright.estimators.loss_test import THRESHOLD, USUAL, LossTest
+from upright.estimators.checks.loss_test import THRESHOLD, USUAL, LossTest
 
 
 def cycles_until_sure(share: float, cycles: int, seed: int) -> int | None:

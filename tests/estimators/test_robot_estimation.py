@@ -21,8 +21,8 @@ from upright.estimators.identify.bounded_fit import RISE, BoundedFit, bounded_fi
 from upright.estimators.identify.combinations import combinations
 from upright.estimators.identify.validation import in_windows, on_others
 from upright.estimators.methods.prediction_error import predicted_percent, prediction_error
-from upright.models.expressions import number
 from upright.models.library import get
+from upright.models.text.expressions import number
 from upright.service.cli import app
 from upright.simulation.twsbr.truth import TwsbrTruth
 from upright.telemetry.recording import Recording

@@ -14,7 +14,7 @@ from upright.estimators.contract import Estimate, Status
 from upright.estimators.identify.run import identify
 from upright.estimators.methods.prediction_error import prediction_error
 from upright.estimators.recursive.prediction_error import RecursivePredictionError
-from upright.models.expressions import number
+from upright.models.text.expressions import number
 from upright.service.observer.live.online_estimators import (
     RECURSION,
     SIMULATION,

@@ -26,8 +26,8 @@ from upright.simulation.bus.drive_node import VirtualDrive
 from upright.simulation.bus.power_state import PowerState
 from upright.telemetry.errors import UprightError
 from upright.telemetry.samples import CanFrame
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile
-from upright.vehicles.phases import Phase
 
 Received = Callable[[CanFrame], list[CanFrame]]
 """What becomes of a frame from the vehicle: nothing, itself, others."""

@@ -14,8 +14,8 @@ from faults.bench import Bench
 from faults.fault import EXPERIMENTS, SIDE_LOAD, Fault, When, harmless
 from faults.outcome import Outcome, Situation, run
 from faults.verdict import verdict
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile, load
-from upright.vehicles.phases import Phase
 
 T = TypeVar("T")
 

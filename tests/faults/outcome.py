@@ -9,7 +9,7 @@ from math import degrees
 from faults.bench import Bench, Moment, moving
 from faults.fault import End, Fault, When
 from upright.service.control.cycle.loop import Mode
-from upright.vehicles.phases import UPRIGHT, Phase
+from upright.vehicles.experiment.phases import UPRIGHT, Phase
 
 AFTER = 3.0
 """s that are watched after the end: a quick stop takes 1 s, the recording goes on for 2 s."""

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from upright.drivers.bus import Bus, BusDown, BusError, BusGroup
-from upright.drivers.error_frames import ErrorClass
-from upright.drivers.socketcan import start_clock
+from upright.drivers.bus.bus import Bus, BusDown, BusError, BusGroup
+from upright.drivers.bus.error_frames import ErrorClass
+from upright.drivers.bus.socketcan import start_clock
 from upright.telemetry.samples import CanFrame
 
 pytestmark = pytest.mark.vcan

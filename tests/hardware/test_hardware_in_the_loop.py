@@ -23,8 +23,8 @@ from upright.service.control.clients.api import ApiError
 from upright.service.observer.live.online_estimators import online_estimators
 from upright.telemetry.candump import CandumpReader
 from upright.telemetry.storage import load as load_recording
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 

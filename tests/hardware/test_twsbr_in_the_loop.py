@@ -11,8 +11,8 @@ import pytest
 from rig import rig
 
 from upright.telemetry.storage import load as load_recording
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(120)]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from upright.models.control_design import (
+from upright.models.control_design.lqi import (
     ControlDesignError,
     LqiGains,
     LqiWeights,
@@ -18,7 +18,7 @@ from upright.models.control_design import (
     design_lqi,
     discretise,
 )
-from upright.models.control_robustness import Estimated, Spread, checked_design, corners, margins
+from upright.models.control_design.robustness import Estimated, Spread, checked_design, corners, margins
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
 from upright.vehicles.monocab.control.roll_design import UNCERTAIN, design_roll_controller
 

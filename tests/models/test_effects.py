@@ -20,7 +20,6 @@ from upright.models.compiler.equations import compose
 from upright.models.compiler.kernel import Kernel, compile_model
 from upright.models.effect import Effect, Family
 from upright.models.effects.catalogue import CATALOGUE, families, find
-from upright.models.expressions import number
 from upright.models.file.allowed_code import allow, sha256
 from upright.models.file.effect_rules import validate
 from upright.models.file.model_file import load_model
@@ -31,10 +30,11 @@ from upright.models.model import Model
 from upright.models.parts import ModelError, Place, Sensor
 from upright.models.segment import Segment
 from upright.models.sensing import FILTERED
-from upright.simulation.friction import BRISTLE_DEFLECTION
-from upright.simulation.input_effects import input_effects
+from upright.models.text.expressions import number
 from upright.simulation.monocab.hidden import HIDDEN
 from upright.simulation.monocab.roll_effects import roll_effects
+from upright.simulation.physics.friction import BRISTLE_DEFLECTION
+from upright.simulation.physics.input_effects import input_effects
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 markdown = runpy.run_path(str(REPOSITORY / "docs" / "reference" / "effects_page.py"))["markdown"]

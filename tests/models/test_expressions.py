@@ -13,9 +13,9 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upright.models import expressions
-from upright.models.expressions import check, length, name_problem, names_in, number, parse, renamed
 from upright.models.parts import ModelError
+from upright.models.text import expressions
+from upright.models.text.expressions import check, length, name_problem, names_in, number, parse, renamed
 
 X, Y = sympy.symbols("x y", real=True)
 SYMBOLS = {"x": X, "y": Y, "drag.size": sympy.Symbol("drag.size", real=True)}

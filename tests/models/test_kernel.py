@@ -18,10 +18,10 @@ from small_model import GAIN, INITIAL, PLANT, ROWS, SHIFTED, segment
 
 from upright.models.compiler.curves import read
 from upright.models.compiler.kernel import Kernel, compile_model
-from upright.models.expressions import number
 from upright.models.model import Model
 from upright.models.parts import Hold, Input, ModelError, Output, Parameter, State
 from upright.models.segment import Segment
+from upright.models.text.expressions import number
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ EXPRESSIONS = (
 
 
 def test_every_operation_has_the_right_value_and_derivatives() -> None:
-    """Compared with the interpreter of models.expressions, which shares nothing with the compiler."""
+    """Compared with the interpreter of models.text.expressions, which shares nothing with the compiler."""
     names = ("a", "b")
     model = Model(
         name="test-operations",

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import brentq
 
 from upright.diagnosis.prediction.closed_loop import simulate
-from upright.models.control_design import ControlDesignError, closed_loop, continuous_poles
-from upright.models.control_robustness import Known
-from upright.models.linear_effects import LinearEffects
+from upright.models.control_design.linear_effects import LinearEffects
+from upright.models.control_design.lqi import ControlDesignError, closed_loop, continuous_poles
+from upright.models.control_design.robustness import Known
 from upright.models.model import Model
 from upright.vehicles import registry
 from upright.vehicles.file import load

@@ -23,7 +23,6 @@ from typer.testing import CliRunner
 from upright.models import library, rendering
 from upright.models.compiler.fingerprint import fingerprint
 from upright.models.effects.catalogue import CATALOGUE
-from upright.models.expressions import number
 from upright.models.file import sections as model_sections
 from upright.models.file.document import ModelFile
 from upright.models.file.model_file import load_model, parse, read, write
@@ -40,6 +39,7 @@ from upright.models.parts import (
     Sensor,
     State,
 )
+from upright.models.text.expressions import number
 from upright.service import cli
 from upright.vehicles.file import load
 

@@ -15,8 +15,8 @@ from upright.simulation.monocab.truth import PlantTruth
 from upright.simulation.registry import UnknownEffectError
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load as load_recording
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 
 TRUTH = PlantTruth()
 SHORT = 2.0

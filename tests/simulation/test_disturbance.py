@@ -26,10 +26,10 @@ from upright.service.hidden_effects.vehicles import drawn
 from upright.service.virtual import vehicle as virtual_vehicle
 from upright.service.virtual.run import record
 from upright.simulation.config import ImuNode, SimulationConfig
-from upright.simulation.disturbance import Disturbance, RandomTorque
 from upright.simulation.monocab.hidden import MONOCAB
 from upright.simulation.monocab.plant import Plant
 from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.physics.disturbance import Disturbance, RandomTorque
 from upright.simulation.registry import UnknownEffectError, parse_disturbance, parse_hidden
 from upright.simulation.twsbr.hidden import TWSBR
 from upright.simulation.twsbr.plant import TwsbrPlant

@@ -24,7 +24,7 @@ from upright.simulation.bus.power_state import Command, PowerState, command_of
 from upright.simulation.config import SimulationConfig
 from upright.simulation.faults import UnknownFaultError, parse_faults
 from upright.simulation.monocab.truth import PlantTruth
-from upright.simulation.servo_axis import AxisMode
+from upright.simulation.physics.servo_axis import AxisMode
 
 RPM = 200.0
 RATE = GIMBAL_PER_TURN * RPM / 60.0

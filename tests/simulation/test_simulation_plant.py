@@ -12,16 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 
-from upright.drivers.imu import Imu
-from upright.drivers.imu_layout import ImuConfig
+from upright.drivers.imu.imu import Imu
+from upright.drivers.imu.layout import ImuConfig
 from upright.simulation.bus.imu_node import VirtualImu
 from upright.simulation.config import ImuNode, SimulationConfig
-from upright.simulation.contact import Supports
 from upright.simulation.monocab.hidden import HIDDEN, MONOCAB
 from upright.simulation.monocab.plant import Plant
 from upright.simulation.monocab.truth import PlantTruth
+from upright.simulation.physics.contact import Supports
+from upright.simulation.physics.servo_axis import AxisMode
 from upright.simulation.registry import UnknownEffectError, parse_hidden, sizes_of
-from upright.simulation.servo_axis import AxisMode
 from upright.telemetry.samples import CanFrame
 
 TRUTH = PlantTruth()

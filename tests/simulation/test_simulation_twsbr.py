@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from simulated_bus import DISABLE_VOLTAGE, MASTER, QUICK_STOP, SHUTDOWN, SWITCH_ON, Harness
 
-from upright.drivers.imu import Imu
-from upright.drivers.imu_layout import ImuConfig
+from upright.drivers.imu.imu import Imu
+from upright.drivers.imu.layout import ImuConfig
 from upright.simulation.bus.imu_node import VirtualImu
 from upright.simulation.bus.object_dictionary import SimulationError
 from upright.simulation.bus.power_state import PowerState

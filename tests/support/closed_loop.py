@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from upright.drivers.bus import BusDown
+from upright.drivers.bus.bus import BusDown
 from upright.service.virtual import run as virtual_run
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.file import VehicleFile, load

@@ -20,8 +20,8 @@ from upright.service.hidden_effects.cases import Grid
 from upright.service.hidden_effects.methods.answers import ADEQUATE, UNKNOWN, Answer
 from upright.service.hidden_effects.trial import SUBJECT, Bench
 from upright.service.hidden_effects.vehicles import Vehicle
-from upright.simulation.disturbance import Disturbance
 from upright.simulation.monocab.hidden import HIDDEN, UNLISTED
+from upright.simulation.physics.disturbance import Disturbance
 from upright.telemetry.recording import Recording
 from upright.vehicles.registry import channels_of
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
-from upright.vehicles.excitation import Excitation
+from upright.vehicles.experiment.excitation import Excitation
 from upright.vehicles.file import VehicleFile, load
 from upright.vehicles.monocab.control.controller import RollController, design
 from upright.vehicles.monocab.control.rise import Lowering, RiseFromRest, rise_rate

@@ -10,7 +10,7 @@ from itertools import pairwise
 import pytest
 from roll_plant import RATES, SETTLE, Log, Plant, balance, designed, get_down, get_up, peak, vehicle_at
 
-from upright.vehicles.excitation import make_excitation
+from upright.vehicles.experiment.excitation import make_excitation
 from upright.vehicles.file import load
 from upright.vehicles.monocab.control.rise import RiseState, lowering_side, lowering_travel
 from upright.vehicles.monocab.file import TRIM_RATE

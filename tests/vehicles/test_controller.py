@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upright.models.control_design import LqiGains
+from upright.models.control_design.lqi import LqiGains
 from upright.vehicles.file import load
 from upright.vehicles.monocab.control.controller import PrecessionReturn, RollController, SetpointLimits, design
 from upright.vehicles.monocab.control.linear_model import MonocabParameters

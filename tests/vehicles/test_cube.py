@@ -33,8 +33,8 @@ from upright.telemetry.storage import save
 from upright.vehicles.cube.channels import CHANNELS
 from upright.vehicles.cube.model import CUBE
 from upright.vehicles.drives import drive_config
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFileError, load
-from upright.vehicles.phases import Phase
 from upright.vehicles.registry import recorded_loop
 
 VEHICLE = load("cube")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from upright.vehicles.excitation import (
+from upright.vehicles.experiment.excitation import (
     Doublet,
     Excitation,
     ExcitationError,

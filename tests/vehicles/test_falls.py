@@ -23,8 +23,8 @@ from upright.service.control import assembly
 from upright.service.virtual.run import VirtualRunError, record
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import save
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 
 MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}
 PUSH = {"twsbr": 90.0, "monocab": 60.0}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from upright.diagnosis.prediction.closed_loop import simulate
-from upright.models.control_design import (
+from upright.models.control_design.lqi import (
     ControlDesignError,
     LqiWeights,
     StateSpace,
@@ -22,7 +22,8 @@ from upright.service.control.assembly import vehicle_io
 from upright.service.virtual.run import record
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
-from upright.vehicles.excitation import ExcitationError, make_excitation
+from upright.vehicles.experiment.excitation import ExcitationError, make_excitation
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
 from upright.vehicles.monocab.control.full import FullController, FullState, SpeedLoop, design_full
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model
@@ -30,7 +31,6 @@ from upright.vehicles.monocab.file import FULL, MonocabFile
 from upright.vehicles.monocab.kind import Monocab
 from upright.vehicles.monocab.model import MONOCAB_ROLL
 from upright.vehicles.monocab.predicted import predictor
-from upright.vehicles.phases import Phase
 
 PERSON = 550.0
 """N m, the load of the experiment `side_load` and of the paper's figure 4."""

@@ -20,13 +20,13 @@ from upright.service.control.clients.server import ApiServer
 from upright.service.observer.live.online_estimators import LOADED, online_estimators
 from upright.service.virtual.passenger import Passenger
 from upright.service.virtual.run import record
-from upright.simulation.load import Load, LoadTorque
+from upright.simulation.physics.load import Load, LoadTorque
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
+from upright.vehicles.experiment.load import asked_for, load_of, refuse_loads, with_load, without_load
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.load import asked_for, load_of, refuse_loads, with_load, without_load
-from upright.vehicles.phases import Phase
 from upright.vehicles.sections import ExperimentSection
 
 VEHICLE = load("monocab")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from upright.models.control_design import StateSpace
+from upright.models.control_design.lqi import StateSpace
 from upright.models.gravity import GRAVITY
 from upright.vehicles.monocab.control.linear_model import (
     MonocabParameters,

@@ -15,11 +15,11 @@ from closed_loop import ClosedLoop
 from upright.service.control.cycle.loop import Mode
 from upright.simulation.monocab.hidden import HIDDEN
 from upright.vehicles.contract import Lean
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
 from upright.vehicles.monocab.axes import GimbalMeasurement
 from upright.vehicles.monocab.file import MonocabFile
 from upright.vehicles.monocab.watch import MonocabWatch
-from upright.vehicles.phases import Phase
 
 SHIPPED = load("monocab")
 assert isinstance(SHIPPED, MonocabFile)

@@ -19,11 +19,11 @@ from twsbr_derivation import Derivation, derive
 
 from upright.models.compiler.equations import compose
 from upright.models.compiler.kernel import Kernel, compile_model
-from upright.models.expressions import number
 from upright.models.gravity import GRAVITY
 from upright.models.library import get
 from upright.models.model import Model
 from upright.models.segment import Segment
+from upright.models.text.expressions import number
 from upright.vehicles.twsbr.channels import CHANNELS
 
 Array = NDArray[np.float64]

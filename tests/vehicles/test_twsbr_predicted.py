@@ -31,8 +31,8 @@ from upright.service.virtual.run import record
 from upright.simulation.twsbr.truth import TwsbrTruth
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import save
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile, load
-from upright.vehicles.phases import Phase
 from upright.vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")

@@ -25,8 +25,8 @@ from upright.telemetry.channels import ChannelTable
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load as load_recording
 from upright.telemetry.storage import save
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 from upright.vehicles.registry import recorded_loop
 
 VEHICLE = load("twsbr")

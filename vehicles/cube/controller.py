@@ -1,6 +1,6 @@
 """The controller of the reaction-wheel cube: an LQI that holds it up and brings its wheel back to where it stood.
 
-One step per control cycle (gains from `models.control_design`):
+One step per control cycle (gains from `models.control_design.lqi`):
 
     torque = -(k_tilt tilt + k_rate tilt' + k_wheel wheel' + k_previous torque before + k_angle q) + excitation
 
@@ -18,8 +18,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from upright.models.control_design import LqiGains, LqiWeights, StateSpace
-from upright.models.control_robustness import CheckedDesign, Known, Spread, checked_design
+from upright.models.control_design.lqi import LqiGains, LqiWeights, StateSpace
+from upright.models.control_design.robustness import CheckedDesign, Known, Spread, checked_design
 from upright.vehicles.cube.file import CubeFile
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "wheel_inertia")

@@ -9,7 +9,7 @@ from typing import Any
 
 from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.roll_filter import RollState
-from upright.models.control_robustness import CheckedDesign
+from upright.models.control_design.robustness import CheckedDesign
 from upright.vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
 from upright.vehicles.contract import Command, Lean
 from upright.vehicles.cube.axes import Wheel, WheelMeasurement
@@ -17,7 +17,7 @@ from upright.vehicles.cube.controller import WheelController, design
 from upright.vehicles.cube.file import CubeFile
 from upright.vehicles.cube.handling import CubeHandling
 from upright.vehicles.cube.watch import CubeWatch
-from upright.vehicles.excitation import Excitation
+from upright.vehicles.experiment.excitation import Excitation
 
 NEWTON_METRES, RADIANS_PER_SECOND = Unit("N m", digits=3), Unit("rad/s", digits=0)
 

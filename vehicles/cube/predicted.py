@@ -8,12 +8,12 @@ from math import degrees, radians
 
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from upright.estimators.data.segments import SUPPORT_MARGIN
-from upright.models.control_design import LqiGains
+from upright.models.control_design.lqi import LqiGains
 from upright.models.model import Model
 from upright.vehicles.cube.controller import WheelController, design
 from upright.vehicles.cube.file import CubeFile
-from upright.vehicles.excitation import Excitation, ExcitationError, make_excitation
-from upright.vehicles.phases import DURATIONS, Phase
+from upright.vehicles.experiment.excitation import Excitation, ExcitationError, make_excitation
+from upright.vehicles.experiment.phases import DURATIONS, Phase
 from upright.vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"tilt", "tilt_rate", "wheel_rate"})

@@ -1,8 +1,8 @@
 """What closed the loop while the cube was recorded: its controller, the excitation, and its drive's age.
 
-The controller is first replayed on the recorded measurements (vehicles.recorded), from the sample on in which the cube
-began to get up. A model gives its wheel's rate at the sampling instant, but the controller saw a value older by
-`drive_age`: the model's value is taken from that much earlier.
+The controller is first replayed on the recorded measurements (vehicles.experiment.recorded), from the sample on in
+which the cube began to get up. A model gives its wheel's rate at the sampling instant, but the controller saw a value
+older by `drive_age`: the model's value is taken from that much earlier.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 
 from upright.diagnosis.prediction.closed_loop import Controller, Limit
 from upright.diagnosis.prediction.closed_loop_error import Loop
-from upright.models.control_design import LqiGains
+from upright.models.control_design.lqi import LqiGains
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles.cube.controller import WheelController, design
 from upright.vehicles.cube.file import CubeFile
 from upright.vehicles.drives import drive_config
-from upright.vehicles.phases import Phase
-from upright.vehicles.recorded import Recorded, entered_at, recorded
+from upright.vehicles.experiment.phases import Phase
+from upright.vehicles.experiment.recorded import Recorded, entered_at, recorded
 from upright.vehicles.sections import CONTROLLER_OUTPUT
 
 MEASURED = ("tilt", "tilt_rate", "wheel_rate")

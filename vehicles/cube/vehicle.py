@@ -14,7 +14,7 @@ from upright.vehicles.cube.views import VIEWS
 if TYPE_CHECKING:
     from upright.diagnosis.prediction.closed_loop_error import Loop
     from upright.estimators.identify.subject import OwnMethods
-    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.models.control_design.robustness import CheckedDesign, Known
     from upright.telemetry.recording import Recording
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 
 from upright.drivers.vehicle_io import VehicleIo
-from upright.estimators.imu_consistency import AVERAGED
+from upright.estimators.checks.imu_consistency import AVERAGED
 from upright.telemetry.samples import Vector3
 from upright.vehicles.contract import Lean
 from upright.vehicles.cube.axes import WheelMeasurement

@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import copysign, radians
 
 from upright.drivers.cia402.states import State
-from upright.models.control_robustness import CheckedDesign
+from upright.models.control_design.robustness import CheckedDesign
 from upright.vehicles.contract import Command, Lean
-from upright.vehicles.excitation import Excitation
+from upright.vehicles.experiment.excitation import Excitation
 from upright.vehicles.monocab.axes import GimbalMeasurement
 from upright.vehicles.monocab.control.controller import RollController
 from upright.vehicles.monocab.control.full import FullController, FullState

@@ -10,11 +10,11 @@ from typing import Any
 from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.data.segments import SUPPORT_MARGIN
 from upright.estimators.roll_filter import RollState
-from upright.models.control_design import ControlDesignError
-from upright.models.control_robustness import CheckedDesign
+from upright.models.control_design.lqi import ControlDesignError
+from upright.models.control_design.robustness import CheckedDesign
 from upright.vehicles.bounds import DEGREES, DEGREES_PER_SECOND, GYRO_JUMP, IMU_CONTRADICTION, Bound, Unit, When
 from upright.vehicles.contract import Command, Lean
-from upright.vehicles.excitation import Excitation
+from upright.vehicles.experiment.excitation import Excitation
 from upright.vehicles.monocab.axes import GimbalMeasurement, Gimbals
 from upright.vehicles.monocab.control.controller import design
 from upright.vehicles.monocab.control.full import full_if_used

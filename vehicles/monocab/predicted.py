@@ -9,10 +9,10 @@ from math import degrees, expm1, radians
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from upright.estimators.data.segments import SUPPORT_MARGIN
 from upright.estimators.speed_loop_steps import SpeedLoopSteps
-from upright.models.control_design import ControlDesignError
-from upright.models.control_robustness import CheckedDesign
+from upright.models.control_design.lqi import ControlDesignError
+from upright.models.control_design.robustness import CheckedDesign
 from upright.models.gravity import GRAVITY
-from upright.vehicles.excitation import Excitation, ExcitationError, make_excitation
+from upright.vehicles.experiment.excitation import Excitation, ExcitationError, make_excitation
 from upright.vehicles.monocab.control.controller import RollController, design
 from upright.vehicles.monocab.control.full import FullController, FullState, full_if_used, speed_loops
 from upright.vehicles.monocab.control.linear_model import MonocabParameters

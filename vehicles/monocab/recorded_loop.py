@@ -1,8 +1,8 @@
 """What closed the loop while a recording was made: the vehicle's controller, the excitation, and its axes' drives.
 
 What balances the vehicle in an experiment (vehicles.monocab.handling) is first replayed on the recorded measurements
-(vehicles.recorded): the reduced controller, or the full one if the trim mass was moved, with the excitation on the roll
-reference or on the output.
+(vehicles.experiment.recorded): the reduced controller, or the full one if the trim mass was moved, with the excitation
+on the roll reference or on the output.
 
 For models to which the motion of gimbals and trim mass is an input, the drives' speed loops are those identified from
 the recording (estimators.methods.drive_lag). If a setpoint acts later than one control cycle after its sample, this is
@@ -26,11 +26,13 @@ from upright.diagnosis.prediction.closed_loop_error import Loop
 from upright.estimators.contract import Estimate
 from upright.estimators.speed_loop import RUN_IN
 from upright.estimators.speed_loop_steps import SpeedLoopSteps
-from upright.models.control_robustness import CheckedDesign
+from upright.models.control_design.robustness import CheckedDesign
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles.contract import Command, Lean
-from upright.vehicles.excitation import Excitation, Nothing
+from upright.vehicles.experiment.excitation import Excitation, Nothing
+from upright.vehicles.experiment.phases import Phase
+from upright.vehicles.experiment.recorded import Recorded, entered_at, recorded
 from upright.vehicles.monocab.axes import GimbalMeasurement
 from upright.vehicles.monocab.control.controller import design
 from upright.vehicles.monocab.control.full import design_full
@@ -39,8 +41,6 @@ from upright.vehicles.monocab.control.roll_design import RollDesign
 from upright.vehicles.monocab.file import FULL, REDUCED, ROLL_REFERENCE, TRIM_RATE, MonocabFile
 from upright.vehicles.monocab.handling import GimbalHandling
 from upright.vehicles.monocab.identification.own import drive_lag, trim_drive_lag
-from upright.vehicles.phases import Phase
-from upright.vehicles.recorded import Recorded, entered_at, recorded
 from upright.vehicles.sections import CONTROLLER_OUTPUT
 
 POINTS = (ROLL_REFERENCE, CONTROLLER_OUTPUT)

@@ -15,7 +15,7 @@ from upright.vehicles.monocab.views import VIEWS
 if TYPE_CHECKING:
     from upright.diagnosis.prediction.closed_loop_error import Loop
     from upright.estimators.identify.subject import OwnMethods
-    from upright.models.control_robustness import CheckedDesign, Known
+    from upright.models.control_design.robustness import CheckedDesign, Known
     from upright.telemetry.recording import Recording
     from upright.vehicles.contract import Measure
 

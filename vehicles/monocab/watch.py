@@ -23,7 +23,7 @@ from math import ceil, exp, expm1, inf, radians
 
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.vehicle_io import VehicleIo
-from upright.estimators.imu_consistency import AVERAGED
+from upright.estimators.checks.imu_consistency import AVERAGED
 from upright.estimators.speed_loop_steps import SpeedLoopSteps
 from upright.models.gravity import GRAVITY
 from upright.telemetry.samples import Vector3

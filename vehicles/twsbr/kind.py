@@ -11,7 +11,7 @@ from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.roll_filter import RollState
 from upright.vehicles.bounds import DEGREES, DEGREES_PER_SECOND, IMU_CONTRADICTION, Bound, Unit, When
 from upright.vehicles.contract import Command, Lean
-from upright.vehicles.excitation import Excitation
+from upright.vehicles.experiment.excitation import Excitation
 from upright.vehicles.twsbr.axes import WheelMeasurement, Wheels
 from upright.vehicles.twsbr.controller import TiltController
 from upright.vehicles.twsbr.file import TwsbrFile

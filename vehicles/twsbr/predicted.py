@@ -14,8 +14,8 @@ from math import degrees, radians
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from upright.estimators.data.segments import SUPPORT_MARGIN
 from upright.models.model import Model
-from upright.vehicles.excitation import Excitation, ExcitationError, make_excitation
-from upright.vehicles.phases import DURATIONS, Phase
+from upright.vehicles.experiment.excitation import Excitation, ExcitationError, make_excitation
+from upright.vehicles.experiment.phases import DURATIONS, Phase
 from upright.vehicles.sections import ExperimentSection
 from upright.vehicles.twsbr.controller import TiltController
 from upright.vehicles.twsbr.file import TwsbrFile

@@ -1,7 +1,7 @@
 """What closed the loop while the balancing robot was recorded: its controller, the excitation, and its drives' age.
 
-The controller is first replayed on the recorded measurements (vehicles.recorded), from the sample on in which the robot
-began to get up, once with the excitation on the voltage and once on the tilt reference.
+The controller is first replayed on the recorded measurements (vehicles.experiment.recorded), from the sample on in
+which the robot began to get up, once with the excitation on the voltage and once on the tilt reference.
 
 A model gives the wheels at the sampling instant, but the controller saw values older by `drive_age`: the model's values
 are taken from that much earlier. The additional lag of the rate of an encoder of few counts, by the time between its
@@ -22,8 +22,8 @@ from upright.diagnosis.prediction.closed_loop import Controller, Limit
 from upright.diagnosis.prediction.closed_loop_error import Loop
 from upright.telemetry.recording import Recording
 from upright.vehicles.drives import drive_config
-from upright.vehicles.phases import Phase
-from upright.vehicles.recorded import Recorded, entered_at, recorded
+from upright.vehicles.experiment.phases import Phase
+from upright.vehicles.experiment.recorded import Recorded, entered_at, recorded
 from upright.vehicles.sections import CONTROLLER_OUTPUT, is_reference
 from upright.vehicles.twsbr.controller import TiltController
 from upright.vehicles.twsbr.file import TwsbrFile

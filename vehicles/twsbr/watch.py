@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from upright.estimators.imu_consistency import AVERAGED
+from upright.estimators.checks.imu_consistency import AVERAGED
 from upright.telemetry.samples import Vector3
 from upright.vehicles.contract import Lean
 from upright.vehicles.twsbr.axes import WheelMeasurement

@@ -216,7 +216,7 @@ def _revise(
     from upright.diagnosis.revise.revision import revise
     from upright.models.file.history import before_fits
     from upright.service.cli.inputs import working
-    from upright.vehicles.load import refuse_loads
+    from upright.vehicles.experiment.load import refuse_loads
 
     support = _support(vehicle)
     training, tried = ([_load(path, vehicle, file) for path in paths] for paths in (recordings, held_out))

@@ -9,7 +9,7 @@ import numpy as np
 from upright.service.commission.evidence import Evidence, Found
 from upright.service.offline.inputs.replay import load
 from upright.vehicles.commissioning import Number
-from upright.vehicles.phases import Phase
+from upright.vehicles.experiment.phases import Phase
 
 END = 2.0
 """s at the end of the excitation over which a channel is averaged."""

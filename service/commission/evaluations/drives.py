@@ -16,7 +16,7 @@ from upright.service.whole_file import write_whole
 from upright.telemetry.candump import CandumpReader
 from upright.vehicles import registry
 from upright.vehicles.commissioning import Number
-from upright.vehicles.phases import Phase
+from upright.vehicles.experiment.phases import Phase
 
 LISTENING = 2.0
 """s between two looks at the daemon's counts."""

@@ -34,7 +34,7 @@ from upright.service.control.cycle.sequence import ExperimentRun
 from upright.service.observer.client import ObserverClient
 from upright.service.observer.live.news import News
 from upright.vehicles.commissioning import Entry
-from upright.vehicles.phases import Phase
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.sections import VehicleFile
 
 ADOPTED = ("source", "sha256", "values", "deviations")

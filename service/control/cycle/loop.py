@@ -18,13 +18,13 @@ from enum import StrEnum
 from itertools import compress
 from typing import Any, Protocol
 
-from upright.drivers.bus import BusDown
+from upright.drivers.bus.bus import BusDown
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.cia402.emergency import of_communication
 from upright.drivers.cia402.nmt import NmtCommand, command_frame
 from upright.drivers.foreign import REMEDY, ForeignTraffic
 from upright.drivers.vehicle_io import VehicleIo
-from upright.estimators.imu_consistency import ImuConsistency
+from upright.estimators.checks.imu_consistency import ImuConsistency
 from upright.estimators.roll_filter import RollState
 from upright.service.control import assembly
 from upright.service.control.cycle.bus_watch import BusWatch
@@ -40,7 +40,7 @@ from upright.telemetry.samples import CanFrame, Frame, ImuSample
 from upright.vehicles import registry
 from upright.vehicles.bounds import OK, Code, Reaction, Verdict
 from upright.vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
-from upright.vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
+from upright.vehicles.experiment.phases import BALANCING, POWERED, UPRIGHT, Phase
 from upright.vehicles.sections import LoadSection, TiltSection, VehicleFile
 
 SYNC = 0x080

@@ -8,7 +8,7 @@ from typing import Any
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.cia402.states import REMOTE, VOLTAGE_ENABLED, State
 from upright.drivers.foreign import REMEDY, ForeignTraffic
-from upright.drivers.imu import ImuHealth
+from upright.drivers.imu.imu import ImuHealth
 from upright.drivers.vehicle_io import VehicleIo
 from upright.service.control.cycle.safety import DriveObservation, Observation
 from upright.service.control.cycle.sequence import AT_REST_ANGLE, AT_REST_RATE
@@ -27,7 +27,7 @@ def observe(
     seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement, *, period: float, missed: int
 ) -> None:
     """Update the observation with the drivers' state at `now_ns`; `missed` sets of the IMU, one every `period` s,
-    should have come before; -1 if this one came at the time of the last (estimators.loss_test)."""
+    should have come before; -1 if this one came at the time of the last (estimators.checks.loss_test)."""
     seen.imu_losses.came(missed)
     for drive, entry in zip(io.drives, seen.drives, strict=True):
         answered_ns = min(drive.timestamp_ns, drive.statusword_timestamp_ns)

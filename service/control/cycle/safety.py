@@ -37,9 +37,9 @@ from operator import attrgetter
 from typing import Any
 
 from upright.drivers.cia402.emergency import of_communication
-from upright.drivers.imu import ImuHealth
-from upright.estimators.axis_consistency import AxisConsistency
-from upright.estimators.loss_test import THRESHOLD, LossTest
+from upright.drivers.imu.imu import ImuHealth
+from upright.estimators.checks.axis_consistency import AxisConsistency
+from upright.estimators.checks.loss_test import THRESHOLD, LossTest
 from upright.vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, end, stop
 
 

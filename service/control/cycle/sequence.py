@@ -18,8 +18,8 @@ from typing import Any
 
 from upright.drivers.cia402.states import State
 from upright.vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
-from upright.vehicles.excitation import Excitation, make_excitation
-from upright.vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
+from upright.vehicles.experiment.excitation import Excitation, make_excitation
+from upright.vehicles.experiment.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
 from upright.vehicles.sections import REST, LoadSection, TiltSection, VehicleFile
 
 AT_REST_ANGLE = 0.0175

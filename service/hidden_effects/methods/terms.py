@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from upright.models.attach import starts
 from upright.models.effect import AttachedEffect
 from upright.models.effects.catalogue import CATALOGUE
-from upright.models.expression_syntax import CONSTANTS, OPERATIONS, fold, validated
 from upright.models.model import Model
 from upright.models.parts import ModelError, Place
 from upright.models.segment import Segment
+from upright.models.text.syntax import CONSTANTS, OPERATIONS, fold, validated
 
 Array = NDArray[np.float64]
 

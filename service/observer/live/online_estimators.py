@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from upright.estimators.contract import Estimator
 from upright.telemetry.samples import Frame
 from upright.vehicles import registry
-from upright.vehicles.load import asked_for
+from upright.vehicles.experiment.load import asked_for
 
 if TYPE_CHECKING:
     from upright.diagnosis.live.live import LiveDiagnosis

@@ -9,8 +9,8 @@ import contextlib
 import socket
 from dataclasses import dataclass
 
-from upright.drivers.frame_clock import FrameClock
-from upright.drivers.socketcan import SocketcanPort
+from upright.drivers.bus.frame_clock import FrameClock
+from upright.drivers.bus.socketcan import SocketcanPort
 from upright.telemetry.samples import CanFrame
 
 RECEIVE_BUFFER = 4 << 20

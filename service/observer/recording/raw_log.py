@@ -4,7 +4,7 @@
 
 Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each closed file and each error, a line
 of JSON is written to stdout. Times are those of the control process, whose clock has the base NS
-(`drivers.frame_clock`). The process has sockets of its own with the kernel's receive times, reads the waiting
+(`drivers.bus.frame_clock`). The process has sockets of its own with the kernel's receive times, reads the waiting
 frames every 20 ms and writes them in the order of time. If stdin ends without `quit`, its master has died: it logs for
 `GRACE` s more, so that the log shows how the drives stopped, and then closes the file. It imports very little.
 """
@@ -22,8 +22,8 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from upright.drivers.frame_clock import FrameClock
-from upright.drivers.socketcan import start_clock
+from upright.drivers.bus.frame_clock import FrameClock
+from upright.drivers.bus.socketcan import start_clock
 from upright.service.observer.cpus import leave_to_control
 from upright.service.observer.recording.can_tap import CanTap
 from upright.telemetry.candump import format_frames

@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection
 
 from faults.bench import Bench
 from faults.fault import CONTROL_LOST, NOT_FOLLOWED, Fault, Wanted, harmless, stopped
-from upright.drivers.bus import BusDown
-from upright.drivers.error_frames import ErrorClass
+from upright.drivers.bus.bus import BusDown
+from upright.drivers.bus.error_frames import ErrorClass
 from upright.service.control.cycle.loop import HEARTBEAT, SYNC
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.bounds import Code

@@ -10,7 +10,7 @@ from math import cos, inf, nan, pi, radians, sin
 from faults import clues
 from faults.bench import Bench
 from faults.fault import CONTROL_LOST, LYING_IMU, SILENT_IMU, Fault, Wanted, harmless, in_order, stopped
-from upright.drivers.frame_clock import FrameClock
+from upright.drivers.bus.frame_clock import FrameClock
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.bounds import Code
 

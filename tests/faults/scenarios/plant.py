@@ -8,8 +8,8 @@ from math import exp, radians
 from faults import clues
 from faults.bench import Bench
 from faults.fault import MONOCAB, UP, Fault, Wanted, When, harmless, in_order, stopped
-from upright.simulation.contact import Supports
-from upright.simulation.load import Load
+from upright.simulation.physics.contact import Supports
+from upright.simulation.physics.load import Load
 
 STEP = 0.004
 """s in which a torque steps on."""

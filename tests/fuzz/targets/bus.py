@@ -23,8 +23,8 @@ from upright.drivers.cia402.setup import Supervision, configure
 from upright.service.control import assembly
 from upright.service.control.cycle.loop import Mode
 from upright.telemetry.samples import CanFrame
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 
 # Frames into the control loop
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fuzz.mutation import mutated
 from fuzz.target import Target, Trial
-from upright.models import expressions
+from upright.models.text import expressions
 
 VALUES = {"x": 0.5, "y": 2.0, "roll": 0.1, "roll_rate": 0.2, "drag.size": 7.0}
 SYMBOLS = {name: sympy.Symbol(name, real=True) for name in VALUES}

@@ -47,8 +47,8 @@ from upright.telemetry.samples import CanFrame
 from upright.telemetry.tables.mapping import NOTHING, said_of
 from upright.telemetry.tables.wanted import Wanted
 from upright.vehicles import registry
+from upright.vehicles.experiment.load import load_of
 from upright.vehicles.file import load
-from upright.vehicles.load import load_of
 from upright.vehicles.sections import VehicleFile
 
 SUFFIXES = storage.SUFFIXES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from upright.drivers.error_frames import ErrorClass
+from upright.drivers.bus.error_frames import ErrorClass
 from upright.service.control import assembly
 from upright.service.control.cycle.bus_watch import MANY, BusWatch
 from upright.telemetry.samples import CanFrame

@@ -14,9 +14,9 @@ from upright.service.control import assembly
 from upright.service.control.cycle.loop import Mode
 from upright.service.control.cycle.rows import rows_from_frames
 from upright.vehicles import registry
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile, load
 from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
-from upright.vehicles.phases import Phase
 
 ROLL = MONOCAB.index_of("roll")
 PRECESSION = MONOCAB.index_of("precession")

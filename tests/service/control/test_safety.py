@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from upright.drivers.imu import ImuHealth
+from upright.drivers.imu.imu import ImuHealth
 from upright.service.control.cycle.safety import DriveObservation, Observation, Safety
 from upright.vehicles.bounds import OK, Code, Reaction
 from upright.vehicles.cube.kind import CubeCode

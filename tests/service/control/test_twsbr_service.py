@@ -42,8 +42,8 @@ from upright.telemetry.samples import CanFrame
 from upright.telemetry.storage import load as load_recording
 from upright.vehicles import registry
 from upright.vehicles.bounds import OK, Code, Reaction
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFileError, load
-from upright.vehicles.phases import Phase
 from upright.vehicles.registry import recorded_loop
 from upright.vehicles.twsbr.axes import WheelMeasurement
 from upright.vehicles.twsbr.channels import CHANNELS as TWSBR

@@ -13,16 +13,16 @@ from closed_loop import ClosedLoop
 from typer.testing import CliRunner
 
 from upright.diagnosis.prediction.closed_loop_error import Loop
-from upright.models.control_design import ControlDesignError
-from upright.models.control_robustness import Known
+from upright.models.control_design.lqi import ControlDesignError
+from upright.models.control_design.robustness import Known
 from upright.models.parts import ModelError
 from upright.service.cli import app
 from upright.service.control.adopted import FILE, Adopted, AdoptedError, History
 from upright.service.control.clients.commands import Commands
 from upright.service.offline.design import Designed, ResultError, designed, read_result
 from upright.vehicles import registry
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 FOUND = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "speed_loop_lag": 0.041}

@@ -17,7 +17,7 @@ from upright.service.cli import app
 from upright.service.offline.models import identified_model
 from upright.service.offline.multisine import NAME, DesignedMultisine, MultisineError, designed_multisine
 from upright.vehicles import registry
-from upright.vehicles.excitation import make_excitation
+from upright.vehicles.experiment.excitation import make_excitation
 from upright.vehicles.file import load
 from upright.vehicles.sections import ExperimentSection
 

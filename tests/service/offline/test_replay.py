@@ -16,9 +16,9 @@ from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import CanFrame, Frame
 from upright.telemetry.storage import load as load_file
+from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
 from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
-from upright.vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 

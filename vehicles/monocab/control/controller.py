@@ -1,6 +1,6 @@
 """The roll controller of the MONOCAB: reduced LQI state feedback, and the lean that brings the gimbals back.
 
-Inner loop, one step per control cycle (gains from `models.control_design`):
+Inner loop, one step per control cycle (gains from `models.control_design.lqi`):
 
     setpoint = -(k_roll * (roll - reference) + k_rate * roll_rate + k_precession * precession_rate
                  + k_previous * setpoint before + k_integral * q) + excitation,        q' = roll - reference
@@ -27,8 +27,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import radians
 
-from upright.models.control_design import LqiGains, LqiWeights
-from upright.models.control_robustness import Known
+from upright.models.control_design.lqi import LqiGains, LqiWeights
+from upright.models.control_design.robustness import Known
 from upright.vehicles.monocab.control.linear_model import MonocabParameters
 from upright.vehicles.monocab.control.roll_design import RollDesign, design_roll_controller
 from upright.vehicles.monocab.file import MonocabFile
@@ -49,7 +49,7 @@ def design(vehicle: MonocabFile, *, spread: float = 0.2, known: Known | None = N
     """The roll controller of a vehicle file, designed from its parameters and checked `spread` (20 %) around them, or
     wherever they may be if they are `known` from estimates.
 
-    Raises ControlDesignError; see `models.control_design`.
+    Raises ControlDesignError; see `models.control_design.lqi`.
     """
     section = vehicle.controller
     weights = LqiWeights(

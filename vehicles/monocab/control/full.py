@@ -7,7 +7,7 @@
 The gyroscopes answer a disturbance at once, and the trim mass takes over what lasts: with the integrals of both outputs
 the vehicle stands upright with its gimbals in the middle under any static torque that the trim mass can balance. To
 bring the gimbals back, the trim mass moves beyond that place first. Source: Griese et al., equation (1), section II and
-figure 4; the design is models.control_design.
+figure 4; the design is models.control_design.lqi.
 
 No drive reports the acceleration in its speed loop, so the controller computes it from its setpoints. Designed with one
 lag in place of each speed loop, it oscillated at 8 Hz on the virtual vehicle: at that frequency the loop by the
@@ -28,8 +28,8 @@ from operator import mul
 
 import numpy as np
 
-from upright.models.control_design import ControlDesignError, LqiGains, LqiWeights
-from upright.models.control_robustness import CheckedDesign, Known, Spread, checked_design
+from upright.models.control_design.lqi import ControlDesignError, LqiGains, LqiWeights
+from upright.models.control_design.robustness import CheckedDesign, Known, Spread, checked_design
 from upright.vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model
 from upright.vehicles.monocab.control.roll_design import UNCERTAIN

@@ -23,7 +23,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from upright.models.control_design import StateSpace
+from upright.models.control_design.lqi import StateSpace
 from upright.models.gravity import GRAVITY
 from upright.telemetry.errors import UprightError
 

@@ -1,14 +1,14 @@
 """The reduced LQI of a MONOCAB, designed on its linear model and checked at every corner of its uncertain parameters.
 
-Source: Griese et al., section II; the design itself is models.control_design.
+Source: Griese et al., section II; the design itself is models.control_design.lqi.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from upright.models.control_design import LqiWeights
-from upright.models.control_robustness import CheckedDesign, Known, Spread, checked_design
+from upright.models.control_design.lqi import LqiWeights
+from upright.models.control_design.robustness import CheckedDesign, Known, Spread, checked_design
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")

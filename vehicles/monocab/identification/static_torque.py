@@ -19,9 +19,9 @@ import numpy as np
 from upright.models.gravity import GRAVITY
 from upright.telemetry.recording import Recording
 from upright.vehicles.commissioning import Number
+from upright.vehicles.experiment.phases import Phase
+from upright.vehicles.experiment.recorded import designed_for
 from upright.vehicles.monocab.file import MonocabFile
-from upright.vehicles.phases import Phase
-from upright.vehicles.recorded import designed_for
 
 PARTS = 8
 """Parts of the record, each several times longer than the correlation of a disturbance."""
