@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from upright.telemetry.formats import mat_elements
 from upright.telemetry.formats.arrow import of_frame
 from upright.telemetry.formats.columns import seconds, table_of
 from upright.telemetry.tables.raw import Column, RawTable
@@ -49,11 +50,15 @@ def read(path: Path) -> Sequence[RawTable]:
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    import scipy.io
+    import scipy.io.matlab
 
     with path.open("rb") as file:
         new = file.read(520)[512:] == HDF5
+    if not new and scipy.io.matlab.matfile_version(path)[0] == 1:
+        mat_elements.check(path)
     content = {} if new else scipy.io.loadmat(path)
+    if OBJECT in content:
+        mat_elements.check_workspace(content[OBJECT].tobytes())
     if new or OBJECT in content:
         from matio import load_from_mat
 

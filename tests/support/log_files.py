@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -214,8 +215,27 @@ def mat5(content: dict[str, Any], **options: Any) -> Write:
     return write
 
 
-def mat73(columns: dict[str, np.ndarray], struct: str = "") -> Write:
-    """Version 7.3 as MATLAB lays it out: HDF5 behind a header of 512 bytes, arrays transposed."""
+def unpacked(write: Write) -> Write:
+    """The MAT file of version 5 that `write` makes, with its variables as they are inside of the compressed ones."""
+
+    def write_unpacked(path: Path) -> None:
+        write(path)
+        content = path.read_bytes()
+        found, place, workspace = bytearray(content[:128]), 128, struct.unpack_from("<Q", content, 116)[0]
+        while place < len(content):
+            if place == workspace:
+                struct.pack_into("<Q", found, 116, len(found))
+            kind, size = struct.unpack_from("<II", content, place)
+            data = content[place : place + 8 + size]
+            found += zlib.decompress(data[8:]) if kind == 15 else data
+            place += len(data)
+        path.write_bytes(found)
+
+    return write_unpacked
+
+
+def mat73(columns: dict[str, np.ndarray], struct: str = "", kind: str = "double") -> Write:
+    """Version 7.3 as MATLAB lays it out: HDF5 behind a header of 512 bytes, arrays of the class `kind` transposed."""
 
     def write(path: Path) -> None:
         import h5py
@@ -226,7 +246,7 @@ def mat73(columns: dict[str, np.ndarray], struct: str = "") -> Write:
                 where.attrs["MATLAB_class"] = np.bytes_("struct")
             for name, values in columns.items():
                 data = where.create_dataset(name, data=np.atleast_2d(values))
-                data.attrs["MATLAB_class"] = np.bytes_("double")
+                data.attrs["MATLAB_class"] = np.bytes_(kind)
         head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Fri Mar  1 12:00:00 2024 HDF5 schema 1.00 ."
         with path.open("r+b") as raw:
             raw.write(head.ljust(124) + b"\x00\x02IM")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 import sys
+import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import log_files as files
 import numpy as np
@@ -197,6 +201,65 @@ def test_other_content_under_the_suffix_is_refused(suffix: str, content: bytes, 
     with pytest.raises(RecordingError) as caught:
         load(path, WANTED)
     assert caught.value.remedy
+
+
+def packed(content: bytes) -> bytes:
+    """The first variable of a MAT file as a compressed one."""
+    size = struct.unpack_from("<I", content, 132)[0]
+    whole = zlib.compress(content[128 : 136 + size])
+    return content[:128] + struct.pack("<II", 15, len(whole)) + whole
+
+
+def cells(depth: int) -> dict[str, Any]:
+    """Cells inside of each other."""
+    found: Any = 1.0
+    for _ in range(depth):
+        inner, found = found, np.empty((1, 1), dtype=object)
+        found[0, 0] = inner
+    return {"time": TIME, "angle": ANGLE, "deep": found}
+
+
+class TestDamagedMat:
+    """What would end the interpreter inside of scipy is found before it reads the file."""
+
+    @pytest.mark.parametrize("kind", [0, 8, 14, 19, 1000])
+    @pytest.mark.parametrize("pack", [bytes, packed])
+    @pytest.mark.parametrize("content", [{"time": TIME}, {"run": {"time": TIME}}], ids=["vector", "struct"])
+    def test_type_that_is_none_is_refused(
+        self, content: dict[str, Any], pack: Callable[[bytes], bytes], kind: int, tmp_path: Path
+    ) -> None:
+        path = tmp_path / "run.mat"
+        files.mat5(content)(path)
+        right = struct.pack("<II", 9, 8 * COUNT)
+        assert right in path.read_bytes()
+        path.write_bytes(pack(path.read_bytes().replace(right, struct.pack("<II", kind, 8 * COUNT))))
+        with pytest.raises(RecordingError, match=f"numbers of type {kind}.*Save it again in MATLAB"):
+            load(path)
+
+    def test_compressed_variable_is_read(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mat"
+        files.mat5({"run": {"time": TIME, "angle": ANGLE}})(path)
+        path.write_bytes(packed(path.read_bytes()))
+        np.testing.assert_array_equal(load(path)["run/angle"], ANGLE)
+
+    def test_cells_inside_of_cells_have_an_end(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mat"
+        files.mat5(cells(90))(path)
+        np.testing.assert_array_equal(load(path)["angle"], ANGLE)
+        files.mat5(cells(150))(path)
+        with pytest.raises(RecordingError, match="more than 100 cells or structs"):
+            load(path)
+
+    def test_damaged_workspace_of_objects_is_refused(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mat"
+        files.unpacked(files.objects(files.two_series, "v7"))(path)
+        np.testing.assert_array_equal(load(path)["angle"], ANGLE)
+        content = path.read_bytes()
+        right = struct.pack("<II", 9, 8 * COUNT)
+        assert content.index(right) > content.index(b"FileWrapper__")
+        path.write_bytes(content.replace(right, struct.pack("<II", 60000, 8 * COUNT)))
+        with pytest.raises(RecordingError, match=r"numbers of type 60000.*Save it again in MATLAB"):
+            load(path)
 
 
 def test_log_of_which_no_message_can_be_read_is_refused(tmp_path: Path) -> None:
