@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +45,63 @@ def test_the_user_says_what_a_table_does_not(folder: Path, tmp_path: Path) -> No
     text = (folder / "pendulum.toml").read_text()
     written.write_text(text + '\n[columns]\ntime = "tick:ms"\nangle = "pos:deg"\nvoltage = "u:0.0470588235"\n')
     np.testing.assert_allclose(upright.load(table, model=written)["voltage"], plain["voltage"], atol=1e-6)
+
+
+DBC = """VERSION ""
+BU_: ECU
+BO_ 256 Arm: 8 ECU
+ SG_ Position : 0|32@1- (0.0001,0) [-100|100] "deg" ECU
+ SG_ Command : 32|32@1- (0.0001,0) [-100|100] "V" ECU
+"""
+
+
+class TestDbc:
+    """A CAN log of any machine, by the file that says what its signals are."""
+
+    @pytest.fixture
+    def log(self, tmp_path: Path) -> Path:
+        """Five samples 10 ms apart: 1 to 5 degrees, 6 to 10 V."""
+        frames = [
+            f"({1_700_000_000 + row / 100:.6f}) can0 100#{struct.pack('<ii', 10_000 * row, 10_000 * (row + 5)).hex()}\n"
+            for row in range(1, 6)
+        ]
+        (tmp_path / "arm.dbc").write_text(DBC)
+        (tmp_path / "run.log").write_text("".join(frames))
+        return tmp_path / "run.log"
+
+    def test_signals_are_channels_in_si(self, log: Path) -> None:
+        found = upright.load(log, dbc=log.with_name("arm.dbc"))
+        assert isinstance(found, upright.Recording)
+        assert {each.name: each.unit for each in found.channels} == {"Position": "rad", "Command": "V"}
+        np.testing.assert_allclose(found["Position"], np.radians([1.0, 2.0, 3.0, 4.0, 5.0]))
+        assert found.rate == pytest.approx(100.0)
+
+    @pytest.mark.parametrize("model", [True, False])
+    @pytest.mark.parametrize("vehicle", [None, "monocab"])
+    def test_signals_are_named_as_the_columns_of_a_table_are(
+        self, vehicle: str | None, model: bool, log: Path, folder: Path
+    ) -> None:
+        found = upright.load(
+            log,
+            vehicle=vehicle,
+            model=folder / "pendulum.toml" if model else None,
+            dbc=str(log.with_name("arm.dbc")),
+            columns={"angle": "Position", "voltage": "Command"},
+            assume={"voltage": "-1"},
+        )
+        np.testing.assert_allclose(found["angle"], np.radians([1.0, 2.0, 3.0, 4.0, 5.0]))
+        np.testing.assert_allclose(found["voltage"], [-6.0, -7.0, -8.0, -9.0, -10.0])
+        assert "angle: column 'Position'" in found.assumed
+
+    def test_log_without_a_dbc_and_a_table_with_one_are_refused(self, log: Path, folder: Path) -> None:
+        with pytest.raises(upright.UprightError, match="or a DBC that names their signals"):
+            upright.load(log)
+        with pytest.raises(upright.UprightError, match="Leave the DBC out"):
+            upright.load(folder / "run.csv", dbc=log.with_name("arm.dbc"))
+        with pytest.raises(upright.UprightError, match="No such file"):
+            upright.load(log, dbc=log.with_name("other.dbc"))
+        with pytest.raises(upright.UprightError, match="Check the path"):
+            upright.load(log.with_name("none.csv"), dbc=log.with_name("arm.dbc"))
 
 
 def test_what_is_unusual_is_a_warning(tmp_path: Path) -> None:

@@ -104,25 +104,26 @@ def load(
     *,
     vehicle: str | PathLike[str] | None = None,
     model: str | PathLike[str] | None = None,
+    dbc: str | PathLike[str] | None = None,
     columns: Mapping[str, str] | None = None,
     assume: Mapping[str, str] | None = None,
     begin: float = 0.0,
     end: float = math.inf,
 ) -> Recording:
-    """Read a recording: .arrow, .parquet, a table or log of any origin, or the CAN log of a `vehicle`.
+    """Read a recording: .arrow, .parquet, a table or log of any origin, or a CAN log of a `vehicle` or with a `dbc`.
 
-    `vehicle`: a shipped one or a vehicle file. Needed for a CAN log; a table of that vehicle from elsewhere is
-    completed by what is usual. `model`: its channels and its table [columns] say how a table is read. `columns` gives
-    the column of a channel and its unit, as in {"angle": "pos:deg"}; `assume` what the table does not state, as in
-    {"angle": "deg"}. What was assumed besides is in `assumed`. `begin`, `end`: the part that is used, s. Time stamps
-    that jitter although the samples do not are replaced by those of the sampling clock. What is unusual is a
-    RecordingWarning.
+    `vehicle`: a shipped one or a vehicle file, for a CAN log of it; a table of that vehicle from elsewhere is completed
+    by what is usual. `dbc`: a DBC file, whose signals in a CAN log become channels in SI units. `model`: its channels
+    and its table [columns] say how a table, or the signals of a DBC, are read. `columns` gives the column or signal of
+    a channel and its unit, as in {"angle": "pos:deg"}; `assume` what they do not state, as in {"angle": "deg"}. What
+    was assumed besides is in `assumed`. `begin`, `end`: the part that is used, s. Time stamps that jitter although the
+    samples do not are replaced by those of the sampling clock. What is unusual is a RecordingWarning.
     Raises RecordingError, which names the file, the channel or line, and the remedy.
     """
     known = None if vehicle is None else _file(vehicle)
     needed, written = (None, {}) if model is None else _needed(model)
     user = said_of(_options(columns), _options(assume), written)
-    found, notes = read(Path(path), known, needed, user)
+    found, notes = read(Path(path), known, needed, user, None if dbc is None else Path(dbc))
     for note in notes:
         warnings.warn(f"{path}: {note}", RecordingWarning, stacklevel=2)
     return Recording.of(found).between(begin, end)

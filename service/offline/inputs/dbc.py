@@ -8,7 +8,7 @@ has the value that was received last, NaN before its first.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from upright.service.offline.inputs.can_log import CanLog
+from upright.service.offline.inputs.can_log import CanLog, open_log
 from upright.telemetry.channels import Channel, ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import CanFrame
+from upright.telemetry.tables.mapping import NOTHING, Said
 from upright.telemetry.tables.raw import Column, RawTable
+from upright.telemetry.tables.read import recordings
 from upright.telemetry.tables.units import Unit, unit_of
+from upright.telemetry.tables.wanted import Wanted
 
 OTHERS = (".kcd", ".sym", ".arxml")
 """Suffixes of other formats that cantools reads as well."""
@@ -34,6 +37,15 @@ class _Signal:
     meaning: str
     times: list[int] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
+
+
+def read_signals(
+    path: Path, database: Path, wanted: Sequence[Wanted] = (), user: Said = NOTHING
+) -> Sequence[Recording]:
+    """The signals of `database` in the CAN log at `path`. If channels are `wanted`, or the `user` says which they are,
+    they are read as the columns of a table. Raises RecordingError like `signals`."""
+    found = signals(open_log(path), database, path)
+    return recordings([table_of(found)], wanted, user) if wanted or user != NOTHING else (found,)
 
 
 def signals(log: CanLog, database: Path, source: Path) -> Recording:

@@ -17,6 +17,7 @@ from upright.telemetry.tables.mapping import NOTHING, Said
 
 if TYPE_CHECKING:
     from upright.models.model import Model
+    from upright.telemetry.tables.wanted import Wanted
     from upright.vehicles.sections import VehicleFile
 
 
@@ -25,9 +26,14 @@ def read(
     vehicle: VehicleFile | None = None,
     models: Sequence[Model] | None = None,
     user: Said = NOTHING,
+    database: Path | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
-    """The longest of the recordings of `read_all`, and sentences about it."""
-    return max(read_all(path, vehicle, models, user), key=lambda each: len(each[0]))
+    """The longest of the recordings of `read_all`, and sentences about it. Raises RecordingError, for a `database` of a
+    file that is no CAN log, too."""
+    if database is not None and path.exists() and not _is_can_log(path):
+        remedy = "Leave the DBC out, or name a CAN log."
+        raise RecordingError(str(path), "", "is no CAN log, whose signals a DBC could name", remedy=remedy)
+    return max(read_all(path, vehicle, models, user, database=database), key=lambda each: len(each[0]))
 
 
 def read_all(
@@ -59,14 +65,21 @@ def _loaded(
         from upright.service.offline.inputs.replay import load_all
 
         return load_all(path, vehicle, models, user, database)
+    needed = _wanted(models) if models else ()
     if _is_can_log(path):
-        remedy = "Name the vehicle whose frames it holds."
+        if database is not None:
+            from upright.service.offline.inputs.dbc import read_signals
+
+            return read_signals(path, database, needed, user)
+        remedy = "Name the vehicle whose frames it holds, or a DBC that names their signals."
         raise RecordingError(str(path), "", "is a CAN log, which only a vehicle file explains", remedy=remedy)
-    if not models:
-        return storage.load_all(path, user=user)
+    return storage.load_all(path, needed, user)
+
+
+def _wanted(models: Sequence[Model]) -> Sequence[Wanted]:
     from upright.service.offline.inputs.wanted import wanted
 
-    return storage.load_all(path, wanted(models), user)
+    return wanted(models)
 
 
 def _is_can_log(path: Path) -> bool:

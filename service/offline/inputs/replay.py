@@ -28,7 +28,6 @@ from upright.telemetry.channels import ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.tables.mapping import NOTHING, Said, columns_of
-from upright.telemetry.tables.read import recordings
 from upright.vehicles import registry
 from upright.vehicles.file import VehicleFile
 
@@ -66,9 +65,9 @@ def load_all(
         RecordingError: the file cannot be read, contains no frames of this vehicle, or is of another machine.
     """
     if database is not None and models is None:
-        from upright.service.offline.inputs.dbc import signals
+        from upright.service.offline.inputs.dbc import read_signals
 
-        return (signals(can_log.open_log(path), database, path),)
+        return read_signals(path, database, (), user)
     is_log = can_log.is_can_log(path)
     if is_log and database is None:
         return (from_raw_log(path, vehicle),)
@@ -76,9 +75,9 @@ def load_all(
     said = replace(user, columns={**columns_of(vehicle.columns), **user.columns}) if own else user
     needed = wanted(models or (), vehicle if own else None)
     if is_log and database is not None:
-        from upright.service.offline.inputs.dbc import signals, table_of
+        from upright.service.offline.inputs.dbc import read_signals
 
-        found = recordings([table_of(signals(can_log.open_log(path), database, path))], needed, said)
+        found = read_signals(path, database, needed, said)
     else:
         found = storage.load_all(path, needed, said)
     if not own:
