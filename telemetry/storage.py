@@ -7,7 +7,6 @@ A raw `.log` needs the vehicle file to become a recording, see `service.offline.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from upright.telemetry.csv_file import write_csv
@@ -15,7 +14,7 @@ from upright.telemetry.errors import RecordingError
 from upright.telemetry.formats.files import raw_tables, unknown_suffix
 from upright.telemetry.recording import Recording
 from upright.telemetry.tables.mapping import NOTHING, Said
-from upright.telemetry.tables.read import recordings
+from upright.telemetry.tables.read import longest, recordings
 from upright.telemetry.tables.wanted import Wanted
 
 SUFFIXES = (".arrow", ".parquet", ".csv")
@@ -27,12 +26,7 @@ def load(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHING) 
 
     The rest is as for `load_all`.
     """
-    found = load_all(path, wanted, user)
-    if len(found) == 1:
-        return found[0]
-    note = f"the file holds {len(found)} recordings, since time begins anew in it: this is the longest"
-    longest = max(found, key=len)
-    return replace(longest, assumed=(*longest.assumed, note))
+    return longest(load_all(path, wanted, user))
 
 
 def load_all(path: Path | str, wanted: Sequence[Wanted] = (), user: Said = NOTHING) -> tuple[Recording, ...]:

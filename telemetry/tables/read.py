@@ -39,6 +39,10 @@ def recordings(
     if not channels:
         raise RecordingError(table.source, "", "holds no channels", remedy="Record again, or add some columns.")
     said = [*table.said, *filter(None, [times.said]), *said]
+    channels = [_finite(each, said) for each in channels]
+    if len(times.ns) > 1 and times.known.all() and not np.ptp(times.ns):
+        remedy = "Name another column; if the rows are evenly spaced, --map time=row:0.01 for 0.01 s."
+        raise RecordingError(table.source, "time", "is the same in all rows", remedy=remedy)
     stack = np.stack([each.values for each in channels], axis=1)
     parts, done = mended(times, stack, table.lines)
     said += done
@@ -48,6 +52,25 @@ def recordings(
     count = len(parts)
     found = (_recording(table, channels, part, wanted, said, place, count) for place, part in enumerate(parts))
     return tuple(replace(each, settled=user.settled) for each in found)
+
+
+def longest(found: Sequence[Recording]) -> Recording:
+    """The longest of the recordings in a table, which then states that there are others."""
+    if len(found) == 1:
+        return found[0]
+    note = f"there are {len(found)} recordings, since time begins anew: this is the longest"
+    chosen = max(found, key=len)
+    return replace(chosen, assumed=(*chosen.assumed, note))
+
+
+def _finite(channel: Matched, said: list[str]) -> Matched:
+    """The channel, in which what is infinite is not known."""
+    infinite = np.isinf(channel.values)
+    if not infinite.any():
+        return channel
+    count = np.count_nonzero(infinite)
+    said.append(f"{channel.name}: {count} infinite {'value is' if count == 1 else 'values are'} not known")
+    return replace(channel, values=np.where(infinite, np.nan, channel.values))
 
 
 def _recording(

@@ -104,13 +104,27 @@ def _in_order(found: Stamped, said: list[str]) -> Stamped:
     off = np.abs(order - np.arange(len(order)))
     ordered = np.diff(found.ns[order])
     between = ordered[ordered > 0]
-    if np.max(off) > NEAR or float(np.min(between)) < 0.3 * float(np.median(between)):
+    if np.max(off) > NEAR or float(np.min(between)) < 0.3 * float(np.median(between)) or _interleaves(found, order):
         return found
     first = int(np.flatnonzero(off)[0])
     said.append(
         _rows(int(np.count_nonzero(np.diff(found.ns) < 0)), "out of order", "sorted by time", found.lines[first])
     )
     return found.at(order)
+
+
+def _interleaves(found: Stamped, order: NDArray[np.int64]) -> bool:
+    """Whether to sort by time would mix the rows before and after a clock was set back.
+
+    A row that comes late breaks the order at three places; a clock that was set back, at all its rows. Rows that are
+    repeated do not count.
+    """
+    sorted_rows = found.at(order)
+    again = (np.diff(sorted_rows.ns) == 0) & np.all(
+        (sorted_rows.values[1:] == sorted_rows.values[:-1]) | np.isnan(sorted_rows.values[1:]), axis=1
+    )
+    kept = order[np.concatenate(([True], ~again))]
+    return bool(np.count_nonzero(np.diff(kept) != 1) > 3 * np.count_nonzero(np.diff(found.ns) < 0))
 
 
 def _merged(found: Stamped, said: list[str]) -> Stamped:

@@ -134,18 +134,117 @@ def test_a_mapping_of_arrays_becomes_a_recording() -> None:
     assert recording.rate == pytest.approx(100.0)
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"angle": [1.0, 2.0]}, "Name the column of seconds `time`"),
-        ({"time": [0.0, 0.1], "state": ["up", "down"]}, "Leave out columns that are not numbers"),
-        ({"time": [0.1, 0.0], "angle": [1.0, 2.0]}, "Sort the rows by time"),
-        ({"time": [0.0, 0.1], "angle": [1.0]}, "Give every column the same length"),
-    ],
-)
-def test_a_table_that_cannot_be_used_names_the_remedy(columns: dict[str, list[object]], message: str) -> None:
-    with pytest.raises(upright.UprightError, match=message):
-        upright.Recording.from_frame(columns)
+STAMPS = np.arange(20) / 100.0
+ANGLES = np.sin(STAMPS)
+DATES = pandas.Timestamp("2024-03-01 12:00") + pandas.to_timedelta(STAMPS, unit="s")
+
+
+def with_time(place: int, value: float) -> np.ndarray:
+    return np.where(np.arange(20) == place, value, STAMPS)
+
+
+class TestFrame:
+    """A table in memory is read as one in a file is: what is assumed is said, and what cannot be used is refused."""
+
+    @pytest.mark.parametrize(
+        ("more", "says"),
+        [
+            ({"state": ["RUN"] * 20}, "state: text, left out"),
+            ({"gain": 1j * ANGLES}, "gain: of type complex128, left out"),
+            ({"armed": ANGLES > 0.1}, "armed: yes or no, read as 1 or 0"),
+            ({"time": STAMPS[::-1], "angle": ANGLES[::-1]}, "the rows are in reverse"),
+            ({"time": np.repeat(STAMPS, 2), "angle": np.repeat(ANGLES, 2)}, "20 rows are repeated and left out"),
+            ({"time": with_time(5, 0.04)}, "1 time stamps are repeated"),
+            ({"time": STAMPS - np.where(STAMPS > 0.145, 0.03, 0.0)}, "time: set back by 0.03 s in line 16"),
+            ({"angle": np.degrees(ANGLES)}, "angle: deg, converted to rad"),
+            ({"time": 1e3 * STAMPS}, "time: in ms, as stated"),
+            ({"angle": [f"{each:.9f}" for each in ANGLES]}, "angle: text, read as numbers"),
+        ],
+    )
+    def test_what_is_assumed_is_said(self, more: dict[str, object], says: str) -> None:
+        stated = {"angle": "deg"} if "deg" in says else {"time": "ms"} if "ms" in says else {}
+        found = upright.Recording.from_frame({"time": STAMPS, "angle": ANGLES, **more}, units=stated)
+        assert says in "; ".join(found.assumed)
+        np.testing.assert_allclose(found["angle"], ANGLES, atol=1e-8)
+        assert found.rate == pytest.approx(100.0)
+
+    @pytest.mark.parametrize("row", [0, 7])
+    @pytest.mark.parametrize("unknown", [np.nan, np.inf])
+    def test_rows_without_a_time_are_left_out(self, unknown: float, row: int) -> None:
+        found = upright.Recording.from_frame({"time": with_time(row, unknown), "angle": ANGLES})
+        np.testing.assert_array_equal(found["angle"], np.delete(ANGLES, row))
+        assert f"1 row without a time left out, the first in line {row + 1}" in found.assumed
+
+    @pytest.mark.parametrize(
+        "angle",
+        [
+            np.where(np.arange(20) == 3, np.inf, ANGLES),
+            np.ma.masked_array(ANGLES, np.arange(20) == 3),
+            pandas.array(np.where(np.arange(20) == 3, np.nan, ANGLES), dtype="Float64"),
+            [None if row == 3 else each for row, each in enumerate(ANGLES)],
+            [pandas.NA if row == 3 else each for row, each in enumerate(ANGLES)],
+        ],
+        ids=["infinite", "masked", "nullable", "None", "NA"],
+    )
+    def test_values_that_are_not_known_are_nan(self, angle: object) -> None:
+        found = upright.Recording.from_frame(pandas.DataFrame({"time": STAMPS, "angle": angle}))
+        np.testing.assert_array_equal(found["angle"], np.where(np.arange(20) == 3, np.nan, ANGLES))
+
+    @pytest.mark.parametrize(
+        "frame",
+        [
+            pandas.DataFrame({"time": DATES, "angle": ANGLES}),
+            pandas.DataFrame({"time": DATES.tz_localize("Europe/Berlin"), "angle": ANGLES}),
+            pandas.DataFrame({"time": list(map(str, DATES)), "angle": ANGLES}),
+            pandas.DataFrame({"time": DATES - DATES[0], "angle": ANGLES}),
+            {"time": (1000 * STAMPS).round().astype("timedelta64[ms]"), "angle": ANGLES},
+            {"time": DATES.to_pydatetime(), "angle": ANGLES},
+            pandas.DataFrame({"angle": ANGLES}, index=DATES),
+            pandas.DataFrame({"angle": ANGLES}, index=DATES - DATES[0]),
+            pandas.DataFrame({"angle": ANGLES}, index=pandas.Index(STAMPS, name="time")),
+            np.array(list(zip(STAMPS, ANGLES, strict=True)), dtype=[("time", float), ("angle", float)]),
+        ],
+        ids=["dates", "zone", "texts", "durations", "ms", "datetime", "index", "since", "named", "fields"],
+    )
+    def test_dates_durations_and_an_index_are_times(self, frame: object) -> None:
+        found = upright.Recording.from_frame(frame)
+        np.testing.assert_allclose(found.time, STAMPS, atol=1e-9)
+        np.testing.assert_array_equal(found["angle"], ANGLES)
+
+    @pytest.mark.parametrize(
+        ("frame", "units", "message"),
+        [
+            ({"angle": ANGLES}, {}, "time: is missing; there are angle.*Name the column of seconds `time`"),
+            ({"Time": STAMPS, "angle": ANGLES}, {}, "Is it 'Time'"),
+            ({"time": STAMPS, "state": ["up"] * 20}, {}, "state: text.*Leave out columns that are not numbers"),
+            ({"time": ["now"] * 20, "angle": ANGLES}, {}, "time: is not of numbers or dates.*Give seconds"),
+            ({"time": np.nan * STAMPS, "angle": ANGLES}, {}, "time: is not a number in any row"),
+            ({"time": np.ones(20), "angle": ANGLES}, {}, "time: is the same in all rows"),
+            ({"time": 1.7e12 + 1e3 * STAMPS, "angle": ANGLES}, {}, r"no second of this century.*row 1.*\"ms\""),
+            ({"time": STAMPS, "angle": ANGLES[:5]}, {}, "angle: has 5 values for 20 instants.*the same length"),
+            ({"time": STAMPS, "angle": np.zeros((20, 2))}, {}, r"angle: has the shape \(20, 2\).*of its own"),
+            ({"time": STAMPS, "angle": 1.0}, {}, r"angle: has the shape \(\)"),
+            ({"time": STAMPS, "angle": [[1.0], [1.0, 2.0]]}, {}, "angle: is no column"),
+            ({"time": STAMPS, 1: ANGLES, "1": ANGLES}, {}, "1: is a column twice.*name of its own"),
+            ({"time": STAMPS, "angle": ANGLES}, {"angel": "rad"}, "angel: has a unit.*Is it 'angle'"),
+            ({"time": STAMPS, "angle": ANGLES}, {"time": "V"}, "time: cannot be in V"),
+            ({"time": [], "angle": []}, {}, "holds no rows"),
+            ({}, {}, "time: is missing; there are no columns"),
+            (np.zeros((3, 2)), {}, "is no table, but of type ndarray.*a mapping of names to arrays"),
+            (None, {}, "is no table, but of type NoneType"),
+        ],
+    )
+    def test_what_cannot_be_used_is_refused_with_the_remedy(
+        self, frame: object, units: dict[str, str], message: str
+    ) -> None:
+        with pytest.raises(upright.UprightError, match=f"bench: .*{message}") as caught:
+            upright.Recording.from_frame(frame, units=units, source="bench")
+        assert caught.value.remedy
+
+    def test_headings_are_names_and_not_read_for_units(self) -> None:
+        found = upright.Recording.from_frame({"time": STAMPS, "angle_deg": ANGLES, "speed [rpm]": ANGLES})
+        assert found.channels.names == ("angle_deg", "speed [rpm]")
+        np.testing.assert_array_equal(found["speed [rpm]"], ANGLES)
 
 
 def test_without_pandas_the_error_names_what_to_install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -694,7 +694,40 @@ def test_logger_that_began_anew_wrote_two_recordings(tmp_path: Path) -> None:
     assert second.source.endswith("(part 2 of 2)")
     longest = load(path, WANTED)
     assert len(longest) == 400
-    assert "holds 2 recordings" in longest.assumed[-1]
+    assert "there are 2 recordings" in longest.assumed[-1]
+
+
+@pytest.mark.parametrize("late", [0.2, 0.205], ids=["the same stamps", "stamps in between"])
+def test_clock_that_is_set_back_by_a_few_rows_is_not_taken_for_disorder(late: float, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(timed(lambda i: f"{TIME[i] - (late if i >= 300 else 0.0):.4f}"))
+    found = load(path, WANTED)
+    np.testing.assert_array_equal(found["angle"], ANGLE)
+    assert "set back" in "; ".join(found.assumed)
+
+
+def test_rows_that_are_sent_again_later_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(text([*BASE[:310], *BASE[303:308], *BASE[310:]]))
+    found = load(path, WANTED)
+    np.testing.assert_array_equal(found["angle"], ANGLE)
+    assert "5 rows are repeated" in "; ".join(found.assumed)
+
+
+def test_time_that_stands_still_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(timed(lambda i: "1.0"))
+    with pytest.raises(RecordingError, match="is the same in all rows") as caught:
+        load(path, WANTED, said_of(("time=time",), ()))
+    assert "--map time=row:0.01" in caught.value.remedy
+
+
+def test_infinite_values_are_not_known(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    path.write_bytes(parquet(columns(TIME, np.where(ALL % 100 == 0, np.inf, ANGLE))))
+    found = load(path, WANTED)
+    assert np.isnan(found["angle"]).sum() == 6
+    assert "angle: 6 infinite values are not known" in found.assumed
 
 
 def test_part_that_a_vehicle_does_not_have_is_at_rest(tmp_path: Path) -> None:

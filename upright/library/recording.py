@@ -10,9 +10,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from upright.library.layers.recordings import Recorded, RecordingError, describe, read, said_of
+from upright.library.layers.recordings import Recorded, longest, read, recordings, said_of, table_of_frame
 from upright.library.shown import frame_of
 
 if TYPE_CHECKING:
@@ -21,10 +19,6 @@ if TYPE_CHECKING:
     from upright.library.layers.pictures import Picture
     from upright.library.layers.recordings import Source
     from upright.library.layers.results import GreyBox, VehicleFile
-
-
-FARTHEST = 9e9
-"""s from 1970 that nanoseconds can count."""
 
 
 class RecordingWarning(UserWarning):
@@ -50,32 +44,18 @@ class Recording(Recorded):
         metadata: Mapping[str, str] | None = None,
         source: str = "table",
     ) -> Recording:
-        """From a table of pandas or polars, or a mapping of names to arrays: `time` in s, and channels in SI units.
+        """From a table of pandas or polars, or a mapping of names to arrays: `time` in s or dates, and channels in SI.
 
-        `units` of channels, by name. `source` is its name in messages.
-        Raises RecordingError if there is no `time`, it does not rise, or columns differ in length.
+        `units` of columns, by name: `time` in ms, a channel in degrees. An index of dates or durations is the time, if
+        no column is. What a table of a file may have, this one may have, too, and is said in `assumed`: columns of text
+        are left out; rows that repeat, or are out of order, are put right; what is infinite is not known (NaN).
+        `source` is its name in messages. Raises RecordingError, with the column and the remedy: there is no `time`, no
+        channel or no row; a column has another length or shape; a unit is of no column.
         """
-        columns = {str(name): np.asarray(frame[name]) for name in getattr(frame, "columns", frame)}
-        if "time" not in columns:
-            what = f"is missing; there are {', '.join(columns)}"
-            raise RecordingError(source, "time", what, remedy="Name the column of seconds `time`.")
-        try:
-            values = {name: column.astype(np.float64) for name, column in columns.items()}
-        except (TypeError, ValueError) as error:
-            remedy = "Leave out columns that are not numbers."
-            raise RecordingError(source, "", f"has a column that is not of numbers ({error})", remedy=remedy) from error
-        time = values.pop("time")
-        unknown = np.flatnonzero(~(np.abs(time) < FARTHEST))
-        if len(unknown):
-            what = f"is not a number of seconds, first in row {unknown[0] + 1}"
-            raise RecordingError(source, "time", what, remedy="Leave these rows out.")
-        return cls(
-            channels=describe({name: (units or {}).get(name, "") for name in values}),
-            timestamp_ns=np.round(time * 1e9).astype(np.int64),
-            values=values,
-            metadata=metadata or {},
-            source=source,
-        )
+        stated = units or {}
+        table = table_of_frame(frame, stated, metadata or {}, source)
+        user = said_of([f"time=time:{stated['time']}" if "time" in stated else "time=time"], ())
+        return cls.of(longest(recordings([table], user=user)))
 
     @classmethod
     def of(cls, recorded: Recorded) -> Recording:

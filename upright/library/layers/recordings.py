@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from upright.service.offline.inputs.read import read
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.formats.frame import table_of_frame
 from upright.telemetry.recording import Recording as Recorded
-from upright.telemetry.recording import describe
 from upright.telemetry.tables.mapping import Source, said_of
+from upright.telemetry.tables.read import longest, recordings
 
 __all__ = [
     "Recorded",
     "RecordingError",
     "Source",
-    "describe",
+    "longest",
     "read",
+    "recordings",
     "said_of",
+    "table_of_frame",
 ]
