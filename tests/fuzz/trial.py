@@ -8,6 +8,7 @@ machine changes nothing; an input that waits instead is ended by the process tha
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import time
 import traceback
@@ -172,10 +173,20 @@ def tried(target: Target, session: Session, number: int, over: Callable[[], bool
         for data in target.examples():
             session.take(data)
         inputs = target.inputs()
-        with contextlib.suppress(Over):
+        with contextlib.suppress(Over), _old_objects_set_aside():
             while True:
                 _batch(inputs, session, number, over)
                 number += 1
+
+
+@contextmanager
+def _old_objects_set_aside() -> Iterator[None]:
+    """A reader that collects garbage after each failure then looks at its own objects alone."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _batch(inputs: SearchStrategy[bytes], session: Session, number: int, over: Callable[[], bool]) -> None:

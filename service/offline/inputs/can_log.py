@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 from upright.drivers.vehicle_io import VehicleIo
 from upright.telemetry.candump import CandumpReader, Skipped, open_text, parse_line
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.recording import FARTHEST
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.sections import VehicleFile
 
@@ -137,6 +138,10 @@ class MessageLog:
         with _quiet():
             try:
                 for message in self._reader(self.path, self._skipped):
+                    if not abs(message.timestamp) < 1e-9 * FARTHEST:
+                        what = f"a frame at {message.timestamp:.6g} s, which is no time of this century"
+                        self._skipped.add(ValueError(what))
+                        continue
                     frame = self._frame(message)
                     latest = frame.timestamp_ns
                     yield frame

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from fuzz.target import Target
-from fuzz.targets import bus, equations, files, network, recordings
+from fuzz.targets import bus, can_logs, equations, files, formats, network, recordings
 
-TARGETS: dict[str, Target] = {
-    target.name: target
-    for target in (*bus.TARGETS, *files.TARGETS, *equations.TARGETS, *recordings.TARGETS, *network.TARGETS)
-}
+MODULES = (bus, files, equations, recordings, formats, can_logs, network)
+TARGETS: dict[str, Target] = {target.name: target for module in MODULES for target in module.TARGETS}

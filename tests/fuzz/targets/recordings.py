@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import log_files
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
@@ -31,21 +31,16 @@ from dialects import (
 from golden import FOLDER
 from hypothesis import strategies as st
 
-from fuzz.mutation import anything, exchanged, mutated
+from fuzz.mutation import anything, mutated
 from fuzz.target import Target, of_file
+from fuzz.targets.formats import read_of_others
 from upright.estimators.contract import EstimationError
 from upright.estimators.data.segments import segments
 from upright.estimators.identify.table import experiment_of
 from upright.service.dashboard.recordings import Folder
 from upright.service.offline.inputs import replay
-from upright.service.virtual.run import ClosedLoop
 from upright.telemetry import storage
-from upright.telemetry.candump import CandumpReader, format_frame
-from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
-from upright.telemetry.samples import CanFrame
-from upright.telemetry.tables.mapping import NOTHING, said_of
-from upright.telemetry.tables.wanted import Wanted
 from upright.vehicles import registry
 from upright.vehicles.experiment.load import load_of
 from upright.vehicles.file import load
@@ -104,8 +99,6 @@ def short() -> Recording:
 @cache
 def written(suffix: str) -> bytes:
     """`short` as a file."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"seed{suffix}"
         storage.save(short(), path)
@@ -282,8 +275,6 @@ def lines(draw: st.DrawFn) -> bytes:
 
 # Tables of others, by the dialects that are read
 
-WANTED = (Wanted("voltage", "V", held=True), Wanted("angle", "rad", measured=True), Wanted("rate", "rad/s"))
-USERS = (NOTHING, said_of(("angle=column3:deg",), ("time=ms",)), said_of((), ("angle=wrapped", "voltage=-1")))
 PIECES = (
     *FIELDS,
     b";",
@@ -313,101 +304,6 @@ def dialects() -> tuple[bytes, ...]:
     return (base, base.replace(b",", b";").replace(b".", b","), *(each[:700] for each in (*made, in_turns(0.003))))
 
 
-def read_dialect(path: Path) -> None:
-    """Read it as it is, and as some users say."""
-    refusals: list[RecordingError] = []
-    for user in USERS:
-        try:
-            found = storage.load_all(path, WANTED, user)
-        except RecordingError as error:
-            refusals.append(error)
-            continue
-        for each in found:
-            assert np.all(np.diff(each.timestamp_ns) > 0)
-            assert all(len(column) == len(each) for column in each.values.values())
-    assert all(each.remedy for each in refusals)
-    if len(refusals) == len(USERS):
-        raise refusals[0]
-
-
-# Files of other programs
-
-FEW = 40
-"""Samples, so that changes meet the heads of the files."""
-FILES = {
-    ".db3": (log_files.file_of_rosbag2("sqlite3", count=FEW),),
-    ".bag": (log_files.rosbag1(count=FEW),),
-    ".ulg": (partial(log_files.ulog, count=FEW),),
-    ".bin": (partial(log_files.dataflash, count=FEW),),
-}
-
-
-@cache
-def of_format(suffix: str) -> tuple[bytes, ...]:
-    """The pendulum's record in a format of other programs."""
-    import tempfile
-
-    found = []
-    for write in FILES[suffix]:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"seed{suffix}"
-            write(path)
-            found.append(path.read_bytes())
-    return tuple(found)
-
-
-# Raw logs
-
-
-@cache
-def log() -> bytes:
-    """Some cycles of IMU and drives at rest, as `candump -L` writes them."""
-    frames: list[CanFrame] = []
-    ClosedLoop(vehicle(), log=frames.append)
-    odd = [
-        CanFrame(frames[-1].timestamp_ns + 1, 0x123, b"", extended=True),
-        CanFrame(frames[-1].timestamp_ns + 2, 4, bytes(8), error=True),
-        CanFrame(frames[-1].timestamp_ns + 3, 1, b"", remote=True),
-    ]
-    return "".join(f"{format_frame(frame, 'can0')}\n" for frame in (*frames[-100:], *odd)).encode()
-
-
-def read_log(path: Path) -> None:
-    for frame in CandumpReader(path):
-        assert len(frame.data) <= 64
-    replay.from_raw_log(path, vehicle())
-
-
-LOG_TOKENS = (
-    b"R8",
-    b"R99999999999",
-    b"#",
-    b"##1",
-    b"(",
-    b")",
-    b"()",
-    b"can1",
-    b"FFFFFFFF",
-    b"-1",
-    b"9" * 5000,
-    b".",
-    b"\n",
-    b" ",
-    b"20000004#",
-)
-
-
-def log_inputs() -> st.SearchStrategy[bytes]:
-    return st.one_of(
-        anything([log(), log()[:200]], LOG_TOKENS),
-        exchanged(
-            [log()[:1000]],
-            [b"R8", b"R9", b"", b"00" * 9, b"0", b"R-1", b"R" + b"9" * 30, b"R" + b"9" * 5000, b"R999999999999"],
-            b"#",
-        ),
-    )
-
-
 TARGETS = (
     Target(
         "arrow",
@@ -435,28 +331,8 @@ TARGETS = (
     Target(
         "table",
         "a table of another program",
-        of_file(".csv", read_dialect),
+        of_file(".csv", read_of_others),
         lambda: anything(list(dialects()), PIECES),
         lambda: list(dialects()),
-    ),
-    *(
-        Target(
-            suffix[1:],
-            f"a recording of another program, {suffix}",
-            of_file(suffix, read_dialect),
-            lambda suffix=suffix: mutated(of_format(suffix)),
-            lambda suffix=suffix: list(of_format(suffix)),
-            seconds=5.0,
-            megabytes=300,
-            short=40,
-        )
-        for suffix in FILES
-    ),
-    Target(
-        "log",
-        "a raw CAN log",
-        of_file(".log", read_log),
-        log_inputs,
-        lambda: [log(), b"(1.000000) can0 123#R99999999999\n"],
     ),
 )

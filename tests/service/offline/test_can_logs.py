@@ -39,6 +39,10 @@ Lines = Callable[[CanFrame], str]
 
 @pytest.fixture(scope="module")
 def frames() -> list[CanFrame]:
+    return heard_frames()
+
+
+def heard_frames() -> list[CanFrame]:
     """A second of the bus, with times in whole microseconds and all frames in their order, as one socket gives them."""
     heard: list[CanFrame] = []
     ClosedLoop(VEHICLE, log=heard.append).advance(1.0)
@@ -401,6 +405,12 @@ REFUSED = [
         refused=r"it holds the ids .*58Ah.*\[imu\]",
     ),
     Dialect("a BLF of nothing", written_by(can.BLFWriter, lambda data: data[:60]), ".blf", refused="Export it again"),
+    Dialect(
+        "TRC of another century",
+        written_by(can.TRCWriter, lambda data: re.sub(rb"STARTTIME=[\d.]+", b"STARTTIME=255569.01", data)),
+        ".trc",
+        refused="no time of this century",
+    ),
     Dialect("text named .blf", text(lambda frame: "hello\n"), ".blf", refused="line 1"),
     Dialect(
         "a compressed log cut off", text(logged, pack=lambda data: gzip.compress(data)[:90]), refused="cannot be read"
