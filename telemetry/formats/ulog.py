@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from collections import Counter
 from collections.abc import Sequence
@@ -9,18 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
+from upright.telemetry.errors import RecordingError
 from upright.telemetry.formats.columns import counted, table_of
 from upright.telemetry.tables.raw import Column, RawTable
 
 HEADER = 16
 """Bytes before the first message."""
+MOST_AGAIN = 4 * 65_536
+"""Reads without getting farther: two for each byte of the longest message, and as many again."""
 
 
 def read(path: Path) -> Sequence[RawTable]:
     """A table for each topic and instance. Raises OSError, and what pyulog raises."""
     from pyulog import ULog
 
-    log = ULog(str(path))
+    log = ULog(_Ending(path))
     metadata = {key: value for key, value in log.msg_info_dict.items() if isinstance(value, str)}
     said = [f"{len(log.dropouts)} dropouts of the logger"] if log.dropouts else []
     if log.file_corruption:
@@ -39,6 +43,28 @@ def read(path: Path) -> Sequence[RawTable]:
         ]
         tables.append(table_of(str(path), counted(each.data["timestamp"], "us"), columns, said, metadata, truncated))
     return tables
+
+
+class _Ending(io.BytesIO):
+    """The bytes of a log. Where they are damaged, pyulog goes back to try each byte as the beginning of a message, and
+    at the end of some files for ever. Raises RecordingError then."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path.read_bytes())
+        self._path = path
+        self._farthest = 0
+        self._again = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        place = self.tell()
+        if place > self._farthest:
+            self._farthest, self._again = place, 0
+        self._again += 1
+        if self._again > MOST_AGAIN:
+            what = f"is damaged before byte {self._farthest}: no message ends there"
+            raise RecordingError(str(self._path), "", what, remedy="Copy the file again from the vehicle.")
+        return data
 
 
 def _is_cut(path: Path) -> bool:

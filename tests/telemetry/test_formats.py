@@ -262,6 +262,14 @@ class TestDamagedMat:
             load(path)
 
 
+def test_ulog_whose_definitions_do_not_end_is_refused(tmp_path: Path) -> None:
+    """pyulog would look for the next message for ever."""
+    path = tmp_path / "run.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + struct.pack("<HB", 40, 0) + bytes(30))
+    with pytest.raises(RecordingError, match=r"is damaged before byte 49.*Copy the file again"):
+        load(path)
+
+
 def test_log_of_which_no_message_can_be_read_is_refused(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
