@@ -16,6 +16,7 @@ SHORT = {
     "beside_disturbance.py": ("--effects", "static_torque", "--times", "0", "--duration", "12", "--jobs", "1"),
     "commissioning.py": ("--defects", "--only", "upside"),
     "designed_multisine.py": ("--runs", "2", "--records", "0", "--processes", "1"),
+    "dialects.py": ("--only", "sheets"),
     "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
     "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),
     "fleet.py": ("--short", "10", "--whole", "5", "--rounds", "1"),
