@@ -36,10 +36,13 @@ def explain(finding: Finding, score: Score) -> str:
         sentences.append("These data do not determine its amplitude.")
     first = candidate.amplitudes[0]
     chance = f"chance explains the finding with a probability of {_probability(finding.p_value)}."
-    # The detectable amplitude follows from the derivative at amplitude zero, which says nothing of impacts.
+    # The detectable amplitude follows from the derivative at amplitude zero, which says nothing of impacts, and from
+    # the innovations of the model without the effect, in which a large effect is noise that hides a smaller one.
+    found = finding.parameters[first].value if first in finding.parameters else None
     least = about(score.detectable, _unit(candidate, first))
     shown = f"This record would have shown {least} of {first.split('.')[-1]}; "
-    sentences.append(chance.capitalize() if effect.impacts else shown + chance)
+    says_nothing = effect.impacts or (found is not None and abs(found) < score.detectable)
+    sentences.append(chance.capitalize() if says_nothing else shown + chance)
     others = [name for name in finding.odds if name != finding.effect]
     if finding.tied_with:
         tied = ", ".join(finding.tied_with)

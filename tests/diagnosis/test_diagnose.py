@@ -12,6 +12,7 @@ from thorough import of_many
 from virtual_records import multisine
 
 from upright.diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from upright.diagnosis.explain import explain
 from upright.estimators.identify.run import with_values
 from upright.models.effect import Effect, EffectParameter, Family
 from upright.models.parts import Place
@@ -92,6 +93,13 @@ class TestOneEffect:
         text = found_in("viscous_friction").findings[0].explanation
         for part in ("coefficient rate", "N m s/rad", " ± ", "would have shown"):
             assert part in text
+
+    def test_limit_above_what_was_found_is_not_stated(self) -> None:
+        finding = found_in("viscous_friction").findings[0]
+        assert finding.score_test is not None
+        score = next(each for each in finding.score_test.scores if each.candidate.name == finding.effect)
+        assert "would have shown" in explain(finding, score)
+        assert "would have shown" not in explain(finding, replace(score, detectable=1e3 * score.detectable))
 
 
 class TestTwoEffects:
