@@ -61,7 +61,8 @@ def upright(*arguments: Any) -> Any:
 def diagnosed(
     model: Path, folder: Path, missing: pendulum_plant.Missing = pendulum_plant.nothing, **more: float
 ) -> Any:
-    return upright("diagnose", pendulum_plant.write(folder / "run.csv", missing, seed=SEED, **more), "--model", model)
+    run = pendulum_plant.write(folder / "run.csv", missing, seed=SEED, **more)
+    return upright("diagnose", run, "--model", model, "--budget", 300)  # whatever else the machine has to do
 
 
 @pytest.mark.parametrize("effect", of_many(MISSING, "torque_step"))

@@ -59,7 +59,7 @@ def test_offset_of_the_bus_is_below_a_sampling_period() -> None:
 
 def test_delay_is_found_with_its_value(vehicle: Path) -> None:
     names = [word for name in LOOKED_FOR for word in ("--effect", name)]
-    found = upright("diagnose", recorded("square", vehicle), "--vehicle", vehicle, *names)
+    found = upright("diagnose", recorded("square", vehicle), "--vehicle", vehicle, "--budget", 300, *names)
     assert [each["effect"] for each in found["findings"]] == ["input_delay"], found["reason"]
     delay = found["findings"][0]["parameters"]["input_delay.delay"]
     assert abs(delay["value"] - TWSBR_HIDDEN["input_delay"].size) < WITHIN * delay["std"]
