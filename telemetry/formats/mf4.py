@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from traceback import clear_frames
 from typing import Any
 
 import numpy as np
@@ -19,16 +22,29 @@ from upright.telemetry.tables.raw import Column, RawTable
 
 def read(path: Path) -> Sequence[RawTable]:
     """A table for each channel group over time. Raises OSError, and what asammdf raises."""
-    from asammdf import MDF
-
     tables = []
-    with MDF(path) as file:
+    with opened(path) as file:
         names = Counter(channel.name for group in file.groups for channel in group.channels)
         for place in range(len(file.groups)):
             table = _table(str(path), file, place, names)
             if table is not None:
                 tables.append(table)
     return tables
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """The file as asammdf reads it. Of one that its writer did not finalise, asammdf makes a copy, and leaves it behind
+    where it fails: the copy is made in a folder that goes with it. Raises OSError, and what asammdf raises."""
+    from asammdf import MDF
+
+    with TemporaryDirectory() as copies:
+        try:
+            with MDF(path, temporary_folder=copies) as file:
+                yield file
+        except Exception as error:
+            clear_frames(error.__traceback__)  # a half-made MDF would look for the folder later
+            raise
 
 
 def _table(source: str, file: Any, place: int, names: Counter[str]) -> RawTable | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -48,6 +49,9 @@ def bad(folder: Path) -> Iterator[Trial]:
                 raise Refused("no")
             case b"crash":
                 raise KeyError("x")
+            case b"litter":
+                tempfile.mkstemp()
+                raise Refused("no")
             case b"hang":
                 while True:
                     time.process_time()
@@ -65,7 +69,9 @@ def bad_target(*examples: bytes) -> Target:
     )
 
 
-@pytest.mark.parametrize(("data", "kind"), [(b"crash", "crash"), (b"hang", "hang"), (b"memory", "memory")])
+@pytest.mark.parametrize(
+    ("data", "kind"), [(b"crash", "crash"), (b"litter", "crash"), (b"hang", "hang"), (b"memory", "memory")]
+)
 def test_trial_notices(data: bytes, kind: str, tmp_path: Path) -> None:
     account = account_of(bad_target(b"fine", b"refuse", data), tmp_path, 10)
     assert [each.kind for each in account.failures.values()] == [kind]

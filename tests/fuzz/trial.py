@@ -1,8 +1,9 @@
 """One input after another into a target, and an account of what became of them.
 
-An input is a crash if it raises anything but an UprightError, a hang if it takes more than the target's processor time,
-and too large if the process grows by more than the target's memory. Time is counted by the processor, so that a busy
-machine changes nothing; an input that waits instead is ended by the process that watches this one.
+An input is a crash if it raises anything but an UprightError or leaves a temporary file, a hang if it takes more than
+the target's processor time, and too large if the process grows by more than the target's memory. Time is counted by the
+processor, so that a busy machine changes nothing; an input that waits instead is ended by the process that watches this
+one.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import signal
+import tempfile
 import time
 import traceback
 import warnings
@@ -113,7 +115,7 @@ class Session:
         account.inputs += 1
         before, began = forget_peak(), time.process_time()
         try:
-            with timed(target.seconds), contextlib.redirect_stderr(None), contextlib.redirect_stdout(None):
+            with leaving_nothing(self._folder), timed(target.seconds), silence():
                 self._trial(data)
         except UprightError:
             account.refused += 1
@@ -164,6 +166,26 @@ def timed(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
+
+
+@contextmanager
+def leaving_nothing(folder: Path) -> Iterator[None]:
+    """Temporary files go into a folder of their own; raises AssertionError if one is left there."""
+    before = tempfile.tempdir
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        tempfile.tempdir = temporary
+        try:
+            yield
+        finally:
+            tempfile.tempdir = before
+            left = [path.suffix for path in Path(temporary).iterdir()]
+            assert not left, f"temporary files were left: {left}"
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    with contextlib.redirect_stderr(None), contextlib.redirect_stdout(None):
+        yield
 
 
 def tried(target: Target, session: Session, number: int, over: Callable[[], bool]) -> None:

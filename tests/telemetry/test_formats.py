@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from dialects import ANGLE, COUNT, TIME, VOLTAGE
 
+from upright.service.offline.inputs.can_log import is_can_log
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.formats.files import FORMATS
 from upright.telemetry.recording import Recording
@@ -136,6 +137,15 @@ CASES = (
 )
 
 
+@pytest.fixture(autouse=True)
+def leaves_no_file(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No reader leaves anything in the folder for temporary files, whether the file is read or refused."""
+    folder = tmp_path_factory.mktemp("temporary")
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    yield
+    assert not list(folder.iterdir())
+
+
 def opened(case: Case, folder: Path) -> Recording:
     path = folder / f"run{case.suffix}"
     case.write(path)
@@ -186,6 +196,23 @@ def read_or_refused(path: Path, case: Case) -> Recording | None:
         if not refused.remedy:
             raise
     return None
+
+
+UNFINALISED = b"\x05\x00"
+"""The number of records and the length of the last block are to be found by the reader."""
+
+
+@pytest.mark.parametrize("size", [None, 9000, 3000, 200], ids=lambda size: f"{size} bytes" if size else "whole")
+def test_measurement_file_that_was_not_finalised_is_read_or_refused(size: int | None, tmp_path: Path) -> None:
+    """asammdf reads a copy of it, which it forgets where it fails: see `leaves_no_file`."""
+    case = next(each for each in CASES if each.name == "MF4")
+    path = tmp_path / "run.mf4"
+    case.write(path)
+    content = path.read_bytes()
+    path.write_bytes((b"UnFinMF " + content[8:60] + UNFINALISED + content[62:])[:size])
+    found = read_or_refused(path, case)
+    assert (found is not None) == (size is None)
+    assert not is_can_log(path)
 
 
 SUFFIXES = sorted(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from gc import collect
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from upright.telemetry.candump import Skipped, open_text
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.formats.files import missing, quiet
+from upright.telemetry.formats.mf4 import opened
 
 HEAD = 4096
 """Characters at the beginning of a file in which its header is."""
@@ -160,25 +162,28 @@ def _bus_groups(mdf: Any) -> list[int]:
     return [place for place, group in enumerate(mdf.groups) if names & {channel.name for channel in group.channels}]
 
 
-def _mdf(path: Path) -> Any:
-    try:
-        from asammdf import MDF
-    except ModuleNotFoundError as error:
-        raise missing(path, error) from error
-    return MDF(path)
+@contextmanager
+def _mdf(path: Path) -> Iterator[Any]:
+    """The file, without what asammdf prints and warns of. Raises RecordingError if asammdf is missing."""
+    with quiet():
+        try:
+            with opened(path) as mdf:
+                yield mdf
+        except ModuleNotFoundError as error:
+            raise missing(path, error) from error
+        except Exception:
+            collect()
+            raise
 
 
 def has_bus_events(path: Path) -> bool:
     """Whether an MF4 holds frames, and not signals alone. Raises RecordingError if asammdf is missing."""
-    with quiet():
-        try:
-            with _mdf(path) as mdf:
-                return bool(_bus_groups(mdf))
-        except RecordingError:
-            raise
-        except Exception:  # asammdf has exceptions of its own, which it does not export
-            pass
-        collect()
+    try:
+        with _mdf(path) as mdf:
+            return bool(_bus_groups(mdf))
+    except RecordingError:
+        raise
+    except Exception:  # asammdf has exceptions of its own, which it does not export
         return False
 
 

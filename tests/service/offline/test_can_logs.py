@@ -527,3 +527,16 @@ def test_damaged_measurement_file_is_no_log_and_asammdf_stays_silent(tmp_path: P
     log_files.mf4({"angle": (ANGLE, "rad")})(path)
     path.write_bytes(path.read_bytes()[:9000])
     assert not is_can_log(path)
+
+
+def test_damaged_bus_log_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """asammdf copies a file that was not finalised, and forgets the copy where it cannot read it."""
+    log, database, temporary = tmp_path / "run.mf4", tmp_path / "motor.dbc", tmp_path / "temporary"
+    log_files.mf4({"angle": (ANGLE, "rad")})(log)
+    log.write_bytes(b"UnFinMF " + log.read_bytes()[8:60] + b"\x05\x00" + bytes(2900))
+    database.write_text(DBC, "cp1252")
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    with pytest.raises(RecordingError, match=r"is no CAN log that can be read.*Export it again"):
+        load_recording(log, VEHICLE, database)
+    assert not list(temporary.iterdir())
