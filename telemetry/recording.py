@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from upright.telemetry.channels import STEEPEST, Channel, ChannelTable
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import assumed
 from upright.telemetry.samples import Frame
 from upright.telemetry.vehicle_modules import each_with
 
@@ -79,7 +80,7 @@ class Recording:
                     self.source,
                     channel.name,
                     f"reaches {largest:.3g}, which cannot be {channel.unit}",
-                    remedy=f"Recordings are in SI units; if it is in degrees: --assume {channel.name}=deg.",
+                    remedy=f"Recordings are in SI units; if it is in degrees: {assumed({channel.name: 'deg'})}.",
                 )
 
     @property

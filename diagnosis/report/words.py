@@ -12,6 +12,7 @@ from upright.diagnosis.prediction.relevance import percent
 from upright.diagnosis.report.sentences import NOTHING_MATTERS, mattering, to_within
 from upright.estimators.numbers import with_error
 from upright.models.effect import Effect
+from upright.telemetry.options import option
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ def next_step(diagnosis: Diagnosis) -> str:
         case Verdict.UNKNOWN:
             return (
                 "See below where the model still fails, describe the effect that you suspect in a file, and diagnose"
-                " again with --also FILE.toml."
+                f" again with {option('--also FILE.toml', 'also=')}."
             )
         case Verdict.MISSING_EFFECT:
             return _add_or_distinguish(diagnosis)

@@ -31,6 +31,7 @@ from upright.models.sensing import filter_inputs
 from upright.models.text.expressions import names_in
 from upright.telemetry.channels import IDLE
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import mapped, option
 from upright.telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -101,7 +102,7 @@ def _never_free(model: Model, recording: Recording, limit: float | None) -> Data
     names = [name for name in channels_of(model) if name in recording.values]
     for name in names:
         if not np.isfinite(recording[name]).any():
-            remedy = f"name another column: --map {name}=COLUMN."
+            remedy = f"name another column: {mapped({name: 'COLUMN'})}."
             return DataError(
                 Status.MISSING_CHANNEL, f"channel {name}", f"has no values in {recording.source}", remedy=remedy
             )
@@ -179,7 +180,7 @@ def _check(model: Model, recording: Recording) -> None:
                 Status.MISSING_CHANNEL,
                 f"channel {name}",
                 f"is not in {recording.source}, which has {', '.join(recording.channels.names)}",
-                remedy=f"{_near(name, recording)}record it, or use a model that does without (--model).",
+                remedy=f"{_near(name, recording)}record it, or use a {option('--model', 'model=')} that does without.",
             )
 
 
@@ -187,7 +188,9 @@ def _near(name: str, recording: Recording) -> str:
     """The option that names the column of a channel, with one whose name is similar."""
     known = recording.channels.names
     near = [each for each in known if name.lower() in each.lower()] or difflib.get_close_matches(name, known, n=1)
-    return f"name its column (--map {name}={near[0]!r}?), " if near else f"name its column (--map {name}=COLUMN), "
+    return (
+        f"name its column ({mapped({name: near[0]})}?), " if near else f"name its column ({mapped({name: 'COLUMN'})}), "
+    )
 
 
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:

@@ -25,6 +25,7 @@ from upright.estimators.tails import chi2_isf
 from upright.models.model import Model
 from upright.models.natural_time import natural_time
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import assumed
 from upright.telemetry.recording import Recording
 from upright.telemetry.tables.mapping import Assumption, factor_of
 
@@ -67,11 +68,12 @@ class Question:
     @property
     def remedy(self) -> str:
         """The options that make it so, and the one that insists."""
-        options = " ".join(each.options for each in self.together)
-        other = "".join(f", or {each.options}" for each in self.instead)
-        channels = dict.fromkeys(name for each in self.together for name in each.channels)
-        kept = " ".join(f"--assume {name}={'s' if name == 'time' else 1}" for name in channels)
-        return f"{options}{other}; if it is right as it is: {kept}."
+        stated: dict[str, list[str]] = {}
+        for channel, texts in (item for each in self.together for item in each.stated.items()):
+            stated[channel] = [*stated.get(channel, ()), *texts]
+        other = "".join(f", or {assumed(each.stated)}" for each in self.instead)
+        kept = assumed({name: "s" if name == "time" else "1" for name in stated})
+        return f"read it with {assumed(stated)}{other}; if it is right as it is, with {kept}."
 
     def error(self) -> DataError:
         """The question as the reason why a recording is not used."""

@@ -55,9 +55,9 @@ class Reading:
         return recording
 
     @property
-    def options(self) -> str:
-        """The options that make it so."""
-        return " ".join(how.text(channel) for channel, how in self.changes)
+    def stated(self) -> dict[str, list[str]]:
+        """What its user states of each channel."""
+        return {channel: how.texts for channel, how in self.changes}
 
 
 def one(channel: str, how: Assumption, words: str, *, named: bool = True) -> Reading:

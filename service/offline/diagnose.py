@@ -29,6 +29,7 @@ from upright.service.offline.inputs.replay import live_diagnosis
 from upright.service.offline.models import identified_model
 from upright.service.offline.next_experiment import suggest_for
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import option
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
 from upright.vehicles.experiment.load import refuse_loads, with_load
@@ -199,8 +200,9 @@ def _sets_in(recordings: Sequence[Recording], vehicle: VehicleFile, begin: float
         for each in shown["findings"][:1]:
             if each["since"]:
                 since = begin + each["since"]
+                after = math.ceil(since) + 1
                 text += (
                     f" {each['effect']} sets in at {since:.0f} s in {Path(recording.source).name}: diagnose the part"
-                    f" after that, upright diagnose {recording.source} --from {math.ceil(since) + 1}."
+                    f" after that, {option(f'upright diagnose {recording.source} --from {after}', f'begin={after}')}."
                 )
     return text

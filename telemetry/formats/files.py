@@ -18,6 +18,7 @@ from pathlib import Path
 from warnings import catch_warnings, simplefilter
 
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import option
 from upright.telemetry.tables.raw import RawTable
 
 Reader = Callable[[Path], Sequence[RawTable]]
@@ -115,7 +116,8 @@ def unknown_suffix(path: Path, known: Sequence[str]) -> RecordingError:
     what = f"recordings are not stored as {path.suffix or 'files without a suffix'}"
     remedy = f"Use one of {', '.join(known)}."
     if path.suffix == ".log":
-        remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
+        terminal = "`upright replay FILE --vehicle V`, or `upright convert` it first"
+        remedy = f"A raw CAN log needs its vehicle: {option(terminal, 'vehicle=')}."
     return RecordingError(str(path), "", what, remedy=remedy)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import assumed
 from upright.telemetry.recording import FARTHEST, Recording
 from upright.telemetry.tables.mapping import Assumption, factor_of
 from upright.telemetry.tables.matched import unwrapped
@@ -20,7 +21,9 @@ def as_assumed(recording: Recording, channel: str, how: Assumption) -> Recording
         since = (recording.timestamp_ns - recording.timestamp_ns[0]).astype(np.float64) * factor
         if not np.max(np.abs(since)) < FARTHEST:
             what = f"would last {1e-9 * float(np.max(since)):.3g} s in {how.unit}"
-            raise RecordingError(recording.source, "time", what, remedy="State another unit: --assume time=ms.")
+            raise RecordingError(
+                recording.source, "time", what, remedy=f"State another unit: {assumed({'time': 'ms'})}."
+            )
         return replace(recording, timestamp_ns=np.round(since).astype(np.int64), stamped_ns=None)
     values = dict(recording.values)
     if how.swapped:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 
 from upright.telemetry.errors import UprightError
+from upright.telemetry.options import assumed, mapped, option
 from upright.telemetry.tables.units import Unit, is_unit, unit_of
 
 ROW = "row"
@@ -41,14 +42,15 @@ class Assumption:
     wrapped: float | None = None
     swapped: str = ""
 
-    def text(self, channel: str) -> str:
-        """As the option that states it."""
+    @property
+    def texts(self) -> list[str]:
+        """As what the option `--assume` states of the channel."""
         said = [self.unit] if self.unit else []
         if self.wrapped is not None:
             said.append(WRAPPED if not self.wrapped else f"{WRAPPED}:{self.wrapped:g}")
         if self.swapped:
             said.append(f"{SWAPPED}:{self.swapped}")
-        return " ".join(f"--assume {channel}={each}" for each in said)
+        return said
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,18 +89,19 @@ def said_of(maps: Iterable[str], assumes: Iterable[str], columns: Mapping[str, S
     found = dict(columns or {})
     for text in maps:
         name, _, column = text.partition("=")
+        given = option(f"--map {text}", mapped({name: column}))
         if not (name.strip() and column.strip()):
-            raise MappingError(
-                f"--map {text}", "is not CHANNEL=COLUMN", remedy="Write --map angle=pos:deg, for example."
-            )
-        found.update((_column(f"--map {text}", name, column),))
+            example = mapped({"angle": "pos:deg"})
+            raise MappingError(given, "names no channel or no column", remedy=f"Write {example}, for example.")
+        found.update((_column(given, name, column),))
     said = Said(found)
     for text in assumes:
         name, _, how = text.partition("=")
+        given = option(f"--assume {text}", assumed({name: how}))
         if not (name.strip() and how.strip()):
-            what = "is not CHANNEL=UNIT"
-            raise MappingError(f"--assume {text}", what, remedy="Write --assume angle=deg, for example.")
-        said = said.with_assumed(name.strip(), _assumption(f"--assume {text}", how.strip()))
+            example = assumed({"angle": "deg"})
+            raise MappingError(given, "names no channel or no unit", remedy=f"Write {example}, for example.")
+        said = said.with_assumed(name.strip(), _assumption(given, how.strip()))
     return said
 
 

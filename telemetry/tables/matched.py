@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import assumed, mapped
 from upright.telemetry.tables.mapping import Assumption, Said, Source, factor_of
 from upright.telemetry.tables.raw import Column, RawTable
 from upright.telemetry.tables.units import unit_of
@@ -64,7 +65,7 @@ def _source(table: RawTable, rest: Sequence[Column], wanted: Wanted, user: Said)
     plain = re.sub(r"[\W_]+", "", name).lower()
     numbered = [column for column in rest if re.fullmatch(rf"{re.escape(name)} \(\d+\)", column.heading)]
     if not asked and any(column.heading == name for column in rest) and numbered:
-        remedy = f"Give every column a name of its own, or say which: --map {name}={numbered[0].heading!r}."
+        remedy = f"Give every column a name of its own, or say which: {mapped({name: numbered[0].heading})}."
         raise RecordingError(table.source, name, "occurs twice", remedy=remedy)
     ways = (
         lambda column: column.heading == name,
@@ -78,7 +79,7 @@ def _source(table: RawTable, rest: Sequence[Column], wanted: Wanted, user: Said)
         found = [column for column in rest if fits(column)]
         if len(found) > 1:
             there = ", ".join(column.heading for column in found)
-            remedy = f"Say which: --map {wanted.name}={found[0].heading!r}."
+            remedy = f"Say which: {mapped({wanted.name: found[0].heading})}."
             raise RecordingError(table.source, wanted.name, f"may be any of {there}", remedy=remedy)
         if found:
             return found[0]
@@ -86,7 +87,7 @@ def _source(table: RawTable, rest: Sequence[Column], wanted: Wanted, user: Said)
         headings = [column.heading for column in rest]
         near = difflib.get_close_matches(name, headings, n=1)
         what = f"there is no column {name!r}; there are {', '.join(headings)}"
-        remedy = f"Is it {near[0]!r}?" if near else f"Name one of these: --map {wanted.name}=COLUMN."
+        remedy = f"Is it {near[0]!r}?" if near else f"Name one of these: {mapped({wanted.name: 'COLUMN'})}."
         raise RecordingError(table.source, wanted.name, what, remedy=remedy)
     return None
 
@@ -175,10 +176,9 @@ def _to(wanted: Wanted, column: Column, table: RawTable, said: list[str]) -> tup
             said.append(f"{wanted.name}: g, converted to kg")
             return 1e-3 / own.factor, wanted.unit
         what = f"is in {column.unit} in the file, and in {wanted.unit} in the model"
-        remedy = (
-            f"Name its column: --map {wanted.name}=COLUMN, or state its unit: --assume {wanted.name}={wanted.unit}."
-        )
-        raise RecordingError(table.source, wanted.name, what, remedy=remedy.replace("N m", "Nm"))
+        unit = assumed({wanted.name: wanted.unit.replace("N m", "Nm")})
+        remedy = f"Name its column: {mapped({wanted.name: 'COLUMN'})}, or state its unit: {unit}."
+        raise RecordingError(table.source, wanted.name, what, remedy=remedy)
     factor = found.factor / own.factor
     if factor != 1.0:
         said.append(f"{wanted.name}: {column.unit}, converted to {wanted.unit}")

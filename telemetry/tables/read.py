@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import mapped
 from upright.telemetry.recording import Recording, describe
 from upright.telemetry.tables.mapping import NOTHING, Said
 from upright.telemetry.tables.matched import Matched, matched
@@ -41,13 +42,13 @@ def recordings(
     said = [*table.said, *filter(None, [times.said]), *said]
     channels = [_finite(each, said) for each in channels]
     if len(times.ns) > 1 and times.known.all() and not np.ptp(times.ns):
-        remedy = "Name another column; if the rows are evenly spaced, --map time=row:0.01 for 0.01 s."
+        remedy = f"Name another column; if the rows are evenly spaced, {mapped({'time': 'row:0.01'})} for 0.01 s."
         raise RecordingError(table.source, "time", "is the same in all rows", remedy=remedy)
     stack = np.stack([each.values for each in channels], axis=1)
     parts, done = mended(times, stack, table.lines)
     said += done
     if not parts:
-        remedy = "Name another column: --map time=COLUMN:s."
+        remedy = f"Name another column: {mapped({'time': 'COLUMN:s'})}."
         raise RecordingError(table.source, "time", "has values that are not numbers, in all rows", remedy=remedy)
     count = len(parts)
     found = (_recording(table, channels, part, wanted, said, place, count) for place, part in enumerate(parts))

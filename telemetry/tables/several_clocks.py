@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import mapped
 from upright.telemetry.tables.mapping import Said
 from upright.telemetry.tables.matched import may_be
 from upright.telemetry.tables.raw import Column, RawTable
@@ -69,7 +70,7 @@ def joined(tables: Sequence[RawTable], wanted: Sequence[Wanted], user: Said) -> 
     if cells > MOST_CELLS:
         what = f"holds {len(taken)} topics that make {cells:.3g} values at the instants of all"
         first = next(iter(groups[0][1])).heading
-        remedy = f"Name the channels that you need: --map CHANNEL={first}."
+        remedy = f"Name the channels that you need: {mapped({'CHANNEL': first})}."
         raise RecordingError(taken[0].source, "", what, remedy=remedy)
     columns, rows = _on_one_clock(groups)
     said = dict.fromkeys(text for table in taken for text in table.said)

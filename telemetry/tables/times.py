@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import assumed, mapped
 from upright.telemetry.recording import FARTHEST
 from upright.telemetry.tables.mapping import ROW, Said, factor_of
 from upright.telemetry.tables.raw import Column, RawTable
@@ -116,7 +117,7 @@ def _asked(table: RawTable, name: str) -> Column:
             return column
     there = ", ".join(each.heading for each in table.columns)
     what = f"there is no column {name!r}; there are {there}"
-    raise RecordingError(table.source, "time", what, remedy="Name one of these: --map time=COLUMN:s.")
+    raise RecordingError(table.source, "time", what, remedy=f"Name one of these: {mapped({'time': 'COLUMN:s'})}.")
 
 
 def _chosen(table: RawTable) -> Column:
@@ -134,7 +135,8 @@ def _chosen(table: RawTable) -> Column:
     if first.name.startswith("column") and _rises(first) and not counted:
         return first
     there = ", ".join(each.heading for each in table.columns)
-    remedy = "Name it: --map time=COLUMN:s (or ms, us); if the rows are evenly spaced, --map time=row:0.01 for 0.01 s."
+    name, count = mapped({"time": "COLUMN:s"}), mapped({"time": "row:0.01"})
+    remedy = f"Name it: {name} (or ms, us); if the rows are evenly spaced, {count} for 0.01 s."
     key = found[0][1].heading if found else "time"
     what = "does not rise: it is no column of time" if found else f"is missing from the header; there are {there}"
     raise RecordingError(table.source, key, what, remedy=remedy)
@@ -193,7 +195,7 @@ def _scaled(column: Column, unit: Unit, why: str, source: str) -> Times:
     if len(beyond):
         row = int(beyond[0])
         what = f"is outside of this century, the first in row {row + 1}"
-        raise RecordingError(source, "time", what, remedy="State its unit: --assume time=ms (or us, ns).")
+        raise RecordingError(source, "time", what, remedy=f"State its unit: {assumed({'time': 'ms'})} (or us, ns).")
     if column.exact is not None and whole:
         return Times(column.exact * round(factor), known, (column.heading,), unit.factor, False, said)
     ns = np.zeros(len(known), dtype=np.int64)

@@ -115,7 +115,7 @@ def test_wrapped_angle_is_found_if_it_jumps(model: Model, plain: Recording) -> N
     wrapped = changed(plain, angle=lambda angle: np.mod(angle, 2.0 * np.pi))
     asked = question(model, [wrapped])
     assert asked is not None
-    assert asked.remedy.startswith("--assume angle=wrapped;")
+    assert asked.remedy.startswith("read it with --assume angle=wrapped;")
     again = asked.together[0].of(wrapped)
     assert again is not None
     whole = np.round((again["angle"] - plain["angle"])[0] / (2.0 * np.pi)) * 2.0 * np.pi
@@ -157,4 +157,4 @@ def test_question_is_an_error_with_both_ways_out(model: Model, plain: Recording)
     assert asked is not None
     text = str(asked.error())
     assert "run.csv" in text
-    assert "Remedy: --assume angle=deg; if it is right as it is: --assume angle=1." in text
+    assert "Remedy: read it with --assume angle=deg; if it is right as it is, with --assume angle=1." in text

@@ -6,6 +6,7 @@ import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -286,3 +287,23 @@ class TestVehicle:
         one, other = upright.load(GOLDEN), upright.load(FOLDER / "twsbr-square-seed1.parquet")
         with pytest.raises(upright.UprightError, match="of one vehicle together"):
             upright.diagnose([one, other])
+
+
+@pytest.mark.parametrize("source", ["file", "frame"])
+def test_question_in_python_is_answered_by_what_it_names(source: str, folder: Path, tmp_path: Path) -> None:
+    plain, table = upright.load(folder / "run.csv"), tmp_path / "degrees.csv"
+    frame = plain.to_frame().assign(angle=np.degrees(plain["angle"]))
+    frame.to_csv(table, index=False)
+
+    def read(**more: Any) -> upright.Recording:
+        return upright.load(table, **more) if source == "file" else upright.Recording.from_frame(frame, **more)
+
+    found = upright.diagnose(read(), model=folder / "pendulum.toml", effects="viscous_friction")
+    assert found.verdict == "insufficient_data"
+    words = 'read it with assume={"angle": "deg"}; if it is right as it is, with assume={"angle": "1"}.'
+    assert words in found.reason
+    assert "--" not in str(found)
+    assert read(assume={"angle": "1"}).settled >= {"angle"}
+    right = read(assume={"angle": "deg"})
+    np.testing.assert_allclose(right["angle"], plain["angle"], atol=1e-9)
+    assert upright.diagnose(right, model=folder / "pendulum.toml", effects="viscous_friction").verdict != found.verdict

@@ -662,9 +662,9 @@ def test_table_that_is_not_clear_is_refused_with_the_remedy(
 @pytest.mark.parametrize(
     ("maps", "assumes", "what", "remedy"),
     [
-        (("angle",), (), "is not CHANNEL=COLUMN", "--map angle=pos:deg"),
+        (("angle",), (), "names no channel or no column", "--map angle=pos:deg"),
         (("angle=pos:foo",), (), "no unit that is known", "deg"),
-        ((), ("angle",), "is not CHANNEL=UNIT", "--assume angle=deg"),
+        ((), ("angle",), "names no channel or no unit", "--assume angle=deg"),
         ((), ("angle=furlong",), "no unit that is known", "wrapped"),
         ((), ("angle=wrapped:x",), "no period", "wrapped:4096"),
     ],

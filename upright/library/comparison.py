@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from upright.library.inputs import Given, content, gathered
-from upright.library.layers.recordings import Recorded
+from upright.library.layers.recordings import Recorded, in_python
 from upright.library.layers.results import (
     Compared,
     EstimationError,
@@ -110,6 +110,7 @@ class Comparison:
             print_comparisons(found, Path(source).name, to)
 
 
+@in_python()
 def compare(
     recordings: Recorded | Sequence[Recorded],
     models: Given | Sequence[Given] | Mapping[str, Given] | None = None,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from upright.library.estimates import Value
 from upright.library.inputs import Given, content, gathered
 from upright.library.layers.effects import Effect
-from upright.library.layers.recordings import Recorded
+from upright.library.layers.recordings import Recorded, in_python
 from upright.library.layers.results import (
     Candidates,
     Diagnosed,
@@ -107,6 +107,7 @@ class Diagnosis:
         return f"{headline(self.answer.found).text}."
 
     @property
+    @in_python()
     def next_step(self) -> str:
         """What to do now, as one sentence."""
         return headline(self.answer.found).next_step
@@ -183,6 +184,7 @@ class Diagnosis:
         print_diagnosis(self.answer.found, self.answer.seconds, to)
 
 
+@in_python()
 def diagnose(
     recordings: Recorded | Sequence[Recorded],
     model: Given | None = None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from upright.library.estimates import Value
 from upright.library.inputs import Given, content, gathered
-from upright.library.layers.recordings import Recorded
+from upright.library.layers.recordings import Recorded, in_python
 from upright.library.layers.results import (
     Identified,
     ModelFile,
@@ -108,6 +108,7 @@ class Identification:
         print_methods(self.answer.document, {}, to)
 
 
+@in_python()
 def identify(
     recordings: Recorded | Sequence[Recorded],
     model: Given | None = None,

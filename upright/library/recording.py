@@ -10,7 +10,17 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upright.library.layers.recordings import Recorded, longest, read, recordings, said_of, table_of_frame
+from upright.library.layers.recordings import (
+    Recorded,
+    Stated,
+    in_python,
+    longest,
+    read,
+    recordings,
+    said_of,
+    statements,
+    table_of_frame,
+)
 from upright.library.shown import frame_of
 
 if TYPE_CHECKING:
@@ -36,25 +46,29 @@ class Recording(Recorded):
     __slots__ = ()
 
     @classmethod
+    @in_python()
     def from_frame(
         cls,
         frame: Any,
         *,
         units: Mapping[str, str] | None = None,
+        assume: Mapping[str, Stated] | None = None,
         metadata: Mapping[str, str] | None = None,
         source: str = "table",
     ) -> Recording:
         """From a table of pandas or polars, or a mapping of names to arrays: `time` in s or dates, and channels in SI.
 
-        `units` of columns, by name: `time` in ms, a channel in degrees. An index of dates or durations is the time, if
-        no column is. What a table of a file may have, this one may have, too, and is said in `assumed`: columns of text
-        are left out; rows that repeat, or are out of order, are put right; what is infinite is not known (NaN).
+        `units` of columns, by name: `time` in ms, a channel in degrees; `assume` as for `load`. An index of dates or
+        durations is the time, if no column is. What a table of a file may have, this one may have, too, and is said in
+        `assumed`: columns of text are left out; rows that repeat, or are out of order, are put right; what is infinite
+        is not known (NaN).
         `source` is its name in messages. Raises RecordingError, with the column and the remedy: there is no `time`, no
         channel or no row; a column has another length or shape; a unit is of no column.
         """
         stated = units or {}
         table = table_of_frame(frame, stated, metadata or {}, source)
-        user = said_of([f"time=time:{stated['time']}" if "time" in stated else "time=time"], ())
+        time = f"time=time:{stated['time']}" if "time" in stated else "time=time"
+        user = said_of([time], statements(assume))
         return cls.of(longest(recordings([table], user=user)))
 
     @classmethod
@@ -79,6 +93,7 @@ class Recording(Recorded):
     __repr__ = __str__
 
 
+@in_python()
 def load(
     path: str | PathLike[str],
     *,
@@ -86,7 +101,7 @@ def load(
     model: str | PathLike[str] | None = None,
     dbc: str | PathLike[str] | None = None,
     columns: Mapping[str, str] | None = None,
-    assume: Mapping[str, str] | None = None,
+    assume: Mapping[str, Stated] | None = None,
     begin: float = 0.0,
     end: float = math.inf,
 ) -> Recording:
@@ -95,17 +110,18 @@ def load(
     `vehicle`: a shipped one or a vehicle file, for a CAN log of it; a table of that vehicle from elsewhere is completed
     by what is usual. `dbc`: a DBC file, whose signals in a CAN log become channels in SI units. `model`: its channels
     and its table [columns] say how a table, or the signals of a DBC, are read. `columns` gives the column or signal of
-    a channel and its unit, as in {"angle": "pos:deg"}; `assume` what they do not state, as in {"angle": "deg"}. What
-    was assumed besides is in `assumed`. `begin`, `end`: the part that is used, s. Time stamps that jitter although the
-    samples do not are replaced by those of the sampling clock. What is unusual is a RecordingWarning.
+    a channel and its unit, as in {"angle": "pos:deg"}; `assume` what they do not state, as in {"angle": "deg"} or
+    {"angle": ["deg", "wrapped"]}. What was assumed besides is in `assumed`. `begin`, `end`: the part that is used, s.
+    Time stamps that jitter although the samples do not are replaced by those of the sampling clock. What is unusual is
+    a RecordingWarning.
     Raises RecordingError, which names the file, the channel or line, and the remedy.
     """
     known = None if vehicle is None else _file(vehicle)
     needed, written = (None, {}) if model is None else _needed(model)
-    user = said_of(_options(columns), _options(assume), written)
+    user = said_of(statements(columns), statements(assume), written)
     found, notes = read(Path(path), known, needed, user, None if dbc is None else Path(dbc))
     for note in notes:
-        warnings.warn(f"{path}: {note}", RecordingWarning, stacklevel=2)
+        warnings.warn(f"{path}: {note}", RecordingWarning, stacklevel=3)  # behind the decorator
     return Recording.of(found).between(begin, end)
 
 
@@ -120,7 +136,3 @@ def _needed(model: str | PathLike[str]) -> tuple[list[GreyBox], dict[str, Source
     from upright.library.layers.results import columns, identified_model
 
     return [identified_model(fspath(model), None)], columns(fspath(model))
-
-
-def _options(given: Mapping[str, str] | None) -> list[str]:
-    return [f"{name}={text}" for name, text in (given or {}).items()]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from upright.library.layers.effects import UprightError
+from upright.library.layers.recordings import in_python
 
 if TYPE_CHECKING:
     import pandas
@@ -35,6 +36,7 @@ class MissingPackage(UprightError):
         self.package = package
 
 
+@in_python()
 def as_text(write: Print) -> str:
     """What `write` prints, without colours, as wide as the terminal."""
     text = StringIO()
@@ -42,6 +44,7 @@ def as_text(write: Print) -> str:
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
 
 
+@in_python()
 def as_html(write: Print) -> str:
     """What `write` prints, for a notebook."""
     console = _console(StringIO(), NOTEBOOK_WIDTH, record=True, color_system="truecolor")

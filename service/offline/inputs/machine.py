@@ -13,6 +13,7 @@ from upright.estimators.contract import EstimationError
 from upright.models.model import Model
 from upright.telemetry.channels import COMMON
 from upright.telemetry.errors import RecordingError
+from upright.telemetry.options import mapped, option
 from upright.telemetry.recording import Recording
 from upright.vehicles.file import load
 from upright.vehicles.registry import names, nominal_model, of, recorded_loop
@@ -60,14 +61,15 @@ def refuse_foreign(recording: Recording, vehicle: VehicleFile) -> None:
     kind, table = recording.metadata.get("kind", vehicle.vehicle.kind), of(vehicle.vehicle.kind).channels
     if kind != vehicle.vehicle.kind and kind in names():
         what = f"is a recording of a {kind}, not of {vehicle.vehicle.id}"
-        raise RecordingError(recording.source, "", what, remedy=f"--vehicle {kind}, or the file of the vehicle.")
+        named = option(f"--vehicle {kind}", f'vehicle="{kind}"')
+        raise RecordingError(recording.source, "", what, remedy=f"{named}, or the file of the vehicle.")
     own = [each.name for each in table if each not in COMMON and not each.part]
     if not set(own) & set(recording.values):
         there = ", ".join(recording.channels.names)
         what = f"has no channel of a {vehicle.vehicle.kind}; there are {there}"
-        remedy = (
-            f"Name its model (--model FILE.toml) or its vehicle (--vehicle), or its columns (--map {own[0]}=COLUMN)."
-        )
+        ways = (option("--model FILE.toml", 'model="FILE.toml"'), option("--vehicle", "vehicle="))
+        columns = mapped({own[0]: "COLUMN"})
+        remedy = f"Name its model ({ways[0]}) or its vehicle ({ways[1]}), or its columns ({columns})."
         raise RecordingError(recording.source, "", what, remedy=remedy)
 
 
