@@ -23,6 +23,7 @@ from __future__ import annotations
 import codecs
 import gzip
 import re
+import zlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -50,6 +51,12 @@ DIGITS = 11
 
 LOOK = 1000
 """Frames from which is found out whether times are between two frames."""
+
+LONGEST = 10_000
+"""Characters of a line that are looked at; one of CAN FD, shown in bits, has some 700."""
+
+UNREADABLE = (OSError, EOFError, zlib.error)
+"""What reading from `open_text` raises: of a compressed log that is cut off or damaged, too."""
 
 RECENT = 256
 """Frames from which is found out when the next one of an id is due."""
@@ -223,14 +230,11 @@ class CandumpReader:
                     raise self._no_frames()
                 timed = self._accumulated if _are_differences(first) else self._continued
                 yield from timed(chain(first, frames))
-        except (OSError, EOFError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise RecordingError(
-                str(self.path), "", f"cannot be read: {why}", remedy="Check the path and its permissions."
-            ) from error
+        except UNREADABLE as error:
+            raise unreadable(self.path, error) from error
 
-    def _parsed(self, lines: Iterable[str]) -> Iterator[CanFrame]:
-        for number, line in enumerate(lines, start=1):
+    def _parsed(self, file: TextIO) -> Iterator[CanFrame]:
+        for number, line in enumerate(_lines(file), start=1):
             if not line.endswith("\n"):
                 # Even if it parses, its last data bytes may be missing.
                 self._notes.append(f"line {number} is cut off and was left out")
@@ -332,10 +336,28 @@ def _expected(frame: CanFrame, recent: Iterable[CanFrame]) -> int:
     return 2 * stamps[-1] - stamps[-2] if len(stamps) > 1 else 0
 
 
+def _lines(file: TextIO) -> Iterator[str]:
+    """The lines; of one that is longer than LONGEST, its beginning."""
+    while line := file.readline(LONGEST):
+        rest = line
+        while len(rest) == LONGEST and not rest.endswith("\n"):
+            rest = file.readline(LONGEST)
+        yield line if rest is line else f"{line}\n"
+
+
+def unreadable(path: Path, error: Exception) -> RecordingError:
+    """That a log cannot be read, for one of the reasons in UNREADABLE."""
+    why = getattr(error, "strerror", None) or str(error)
+    remedy = "Check the path and its permissions."
+    if not isinstance(error, OSError) or isinstance(error, gzip.BadGzipFile):
+        remedy = "Copy it again; of one that was cut off, `zcat FILE > run.log` gives what can be read."
+    return RecordingError(str(path), "", f"cannot be read: {why}", remedy=remedy)
+
+
 def open_text(path: Path) -> TextIO:
     """A log in UTF-8, ASCII or UTF-16, with or without the mark at its beginning, or compressed by gzip.
 
-    Bytes that are no text are replaced. Raises OSError or EOFError.
+    Bytes that are no text are replaced. Raises one of UNREADABLE, and so does reading from it.
     """
     with path.open("rb") as file:
         opener = gzip.open if file.read(2) == b"\x1f\x8b" else open

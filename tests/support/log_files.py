@@ -206,6 +206,32 @@ def mf4(
     return write
 
 
+FRAME = (
+    ("BusChannel", "u1"),
+    ("ID", "<u4"),
+    ("IDE", "u1"),
+    ("DLC", "u1"),
+    ("DataLength", "u1"),
+    ("DataBytes", "(8,)u1"),
+)
+"""The fields of a frame in MF4 bus logging, and their types."""
+
+
+def bus_log(kinds: dict[str, np.ndarray], times: np.ndarray, compression: int = 0) -> Write:
+    """MF4 bus logging, a channel group for each of `kinds` of frames (`CAN_DataFrame`), as python-can lays it out."""
+
+    def write(path: Path) -> None:
+        from asammdf import MDF, Signal
+
+        with MDF(version="4.10") as file:
+            for name, frames in kinds.items():
+                named = frames.view([(f"{name}.{field}", *kind) for field, *kind in frames.dtype.descr])
+                file.append(Signal(named, times[: len(frames)], name=name))
+            file.save(path, overwrite=True, compression=compression)
+
+    return write
+
+
 def mat5(content: dict[str, Any], **options: Any) -> Write:
     def write(path: Path) -> None:
         from scipy.io import savemat

@@ -115,3 +115,11 @@ def test_can_fd_frame_keeps_its_data() -> None:
 def test_missing_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="No such file"):
         list(CandumpReader(tmp_path / "absent.log"))
+
+
+def test_line_without_an_end_is_no_frame_and_the_next_one_is_read(tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(1.0) can0 123#00\n" + 50_005 * "0" + "\n(1.1) can0 124#00\n" + 50_000 * "0")
+    reader = CandumpReader(log)
+    assert [frame.can_id for frame in reader] == [0x123, 0x124]
+    assert "2 lines are no CAN frames" in reader.truncated

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from upright.drivers.vehicle_io import VehicleIo
-from upright.telemetry.candump import CandumpReader, Skipped, open_text, parse_line
+from upright.telemetry.candump import UNREADABLE, CandumpReader, Skipped, open_text, parse_line, unreadable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import FARTHEST
 from upright.telemetry.samples import CanFrame
@@ -60,8 +60,8 @@ def open_log(path: Path) -> CanLog:
     """The log in a file. Raises RecordingError if it cannot be opened."""
     try:
         kind = _format(path)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    except UNREADABLE as error:
+        raise unreadable(path, error) from error
     if kind in ("", CANDUMP):
         return CandumpReader(path)
     from upright.service.offline.inputs.can_readers import READERS
@@ -76,7 +76,7 @@ def is_can_log(path: Path) -> bool:
         return False
     try:
         kind = _format(path)
-    except OSError:
+    except UNREADABLE:
         kind = ""
     if kind == "mf4":
         from upright.service.offline.inputs.can_readers import has_bus_events
@@ -148,7 +148,7 @@ class MessageLog:
             except RecordingError:
                 raise
             except OSError as error:
-                raise _unreadable(self.path, error) from error
+                raise unreadable(self.path, error) from error
             except Exception as error:  # the readers fail in many ways where a file is not what it claims to be
                 if latest is None:
                     raise RecordingError(
@@ -179,18 +179,18 @@ class MessageLog:
 
 
 def _format(path: Path) -> str:
-    """What a file is, by its content: "asc", "trc", "blf", "csv", "mf4" or CANDUMP; "" if it is no CAN log."""
+    """What a file is, by its content: "asc", "trc", "blf", "csv", "mf4" or CANDUMP; "" if it is no CAN log.
+
+    Raises one of UNREADABLE.
+    """
     with path.open("rb") as binary:
         start = binary.read(8)
     if start.startswith(b"LOGG"):
         return "blf"
     if start.startswith((b"MDF ", b"UnFinMF")):
         return "mf4"
-    try:
-        with open_text(path) as file:
-            head = file.read(HEAD)
-    except (OSError, EOFError) as error:
-        raise OSError(str(error)) from error
+    with open_text(path) as file:
+        head = file.read(HEAD)
     if re.search(r"^\s*base\s+(hex|dec)\b", head, re.IGNORECASE | re.MULTILINE):
         return "asc"
     if re.search(r"^;.*(\$FILEVERSION|PCAN|PEAK)", head, re.IGNORECASE | re.MULTILINE):
@@ -203,11 +203,6 @@ def _format(path: Path) -> str:
             parse_line(line, {})
             return CANDUMP
     return ""
-
-
-def _unreadable(path: Path, error: OSError) -> RecordingError:
-    why = error.strerror or str(error)
-    return RecordingError(str(path), "", f"cannot be read: {why}", remedy="Check the path and its permissions.")
 
 
 class _quiet:

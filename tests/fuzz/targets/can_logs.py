@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import gzip
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import can
+import log_files
 import numpy as np
 from hypothesis import strategies as st
 
-from fuzz.mutation import anything, exchanged
+from fuzz.mutation import anything, exchanged, mutated
 from fuzz.target import Target, Trial, of_file
+from fuzz.targets.formats import HEAD, content, safe, times
 from fuzz.targets.recordings import FIELDS, vehicle
 from upright.service.offline.inputs import replay
 from upright.service.offline.inputs.can_log import open_log
@@ -97,6 +100,71 @@ def read_log_of_others(path: Path) -> None:
     assert np.all(np.diff(recording.timestamp_ns) > 0)
 
 
+# Bus logging
+
+
+@cache
+def bus_logs() -> tuple[bytes, ...]:
+    """The frames as MF4, as they are, compressed, and in a file that its writer did not finalise."""
+    whole = content(log_files.bus_log(*bus_frames()), ".mf4")
+    packed = content(log_files.bus_log(*bus_frames(), compression=2), ".mf4")
+    return whole, packed, b"UnFinMF " + whole[8:60] + b"\x05\x00" + whole[62:]
+
+
+def bus_frames() -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The data frames and a remote frame, and times for them."""
+    heard = [each for each in frames() if not (each.error or each.remote)]
+    rows = np.zeros(len(heard), dtype=[(name, kind) for name, kind in log_files.FRAME])
+    for row, each in zip(rows, heard, strict=True):
+        row["ID"], row["IDE"], row["DLC"], row["DataLength"] = (
+            each.can_id,
+            each.extended,
+            len(each.data),
+            len(each.data),
+        )
+        row["DataBytes"][: len(each.data)] = list(each.data)
+    remote = np.zeros(1, dtype=[(name, kind) for name, kind in log_files.FRAME[:-1]])
+    return {"CAN_DataFrame": rows, "CAN_RemoteFrame": remote}, 1e-9 * np.array([each.timestamp_ns for each in heard])
+
+
+def odd_bus_logs() -> st.SearchStrategy[bytes]:
+    """Bus logging with fields that are missing, of other types or of odd values."""
+    kinds = st.sampled_from(("u1", "<u2", "<u8", "<i4", "<f8", "S4", "(8,)u1", "(64,)u1", "(2,)f4"))
+    fields = st.dictionaries(st.sampled_from([name for name, _ in log_files.FRAME]), kinds, min_size=1)
+    values = st.lists(st.sampled_from((0, 1, 8, 64, 255, 256, 0x18A, 0x7FF, 0x1FFFFFFF, 2**31, 2**64 - 1)), min_size=1)
+    names = st.sampled_from(("CAN_DataFrame", "CAN_RemoteFrame"))
+    return st.builds(odd_bus_log, names, fields, values, times())
+
+
+def odd_bus_log(name: str, fields: dict[str, str], values: Sequence[int], clock: np.ndarray) -> bytes:
+    rows = np.zeros(len(clock), dtype=list(fields.items()))
+    for place, field in enumerate(fields):
+        with np.errstate(all="ignore"):
+            cells = np.resize(np.roll(np.array(values, dtype=np.uint64), place), rows[field].shape)
+            rows[field] = cells.astype(rows[field].dtype)
+    return safe(log_files.bus_log({name: rows}, clock), ".mf4")
+
+
+# Compressed
+
+
+def compressed(data: bytes) -> bytes:
+    return gzip.compress(data, mtime=0)
+
+
+@cache
+def compressed_logs() -> tuple[bytes, ...]:
+    """Logs of text in each format, as they are and begun anew in the middle of the file."""
+    short = [log(), *(log_of(name) for name in ("asc", "trc", "can-csv"))]
+    return (*map(compressed, short), compressed(log()[:1000]) + compressed(log()[1000:]))
+
+
+@cache
+def bomb() -> bytes:
+    """A fifth of a megabyte that is a line of two hundred megabytes."""
+    return compressed(log()[:1000] + bytes(200 << 20))
+
+
 DBC = b"""VERSION ""
 BU_: ECU
 BO_ 385 Odd: 8 ECU
@@ -166,6 +234,23 @@ TARGETS = (
             short=100,
         )
         for name in LOGS
+    ),
+    Target(
+        "mf4-bus",
+        "bus logging as MF4",
+        of_file(".mf4", read_log_of_others),
+        lambda: st.one_of(mutated(bus_logs()), mutated(bus_logs(), head=HEAD), odd_bus_logs()),
+        bus_logs,
+        seconds=5.0,
+        megabytes=300,
+        short=100,
+    ),
+    Target(
+        "can-gz",
+        "a CAN log that is compressed",
+        of_file(".log.gz", read_log_of_others),
+        lambda: st.one_of(mutated(compressed_logs()), log_inputs().map(compressed)),
+        lambda: (*compressed_logs(), bomb()),
     ),
     Target(
         "dbc",

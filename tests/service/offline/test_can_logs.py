@@ -279,6 +279,11 @@ def mf4(frames: Sequence[CanFrame], path: Path) -> None:
     subprocess.run([sys.executable, "-W", "ignore", "-c", BUS_LOGGING, blf, path], check=True)
 
 
+def damaged(data: bytes, place: int) -> bytes:
+    """With some bytes of no sense."""
+    return data[:place] + b"\xff" * 64 + data[place + 64 :]
+
+
 def wrong_bytes(data: bytes) -> bytes:
     """The last container of a BLF with bytes that are no frames."""
     return data[: len(data) * 3 // 4]
@@ -413,7 +418,19 @@ REFUSED = [
     ),
     Dialect("text named .blf", text(lambda frame: "hello\n"), ".blf", refused="line 1"),
     Dialect(
-        "a compressed log cut off", text(logged, pack=lambda data: gzip.compress(data)[:90]), refused="cannot be read"
+        "a compressed log cut off",
+        text(logged, pack=lambda data: gzip.compress(data)[:90]),
+        refused="cannot be read.*zcat",
+    ),
+    Dialect(
+        "a compressed log that is damaged",
+        text(logged, pack=lambda data: damaged(gzip.compress(data), 20)),
+        refused="cannot be read.*Copy it again",
+    ),
+    Dialect(
+        "a compressed log that is damaged in its middle",
+        text(logged, pack=lambda data: damaged(gzip.compress(data), len(data) // 10)),
+        refused="cannot be read.*Copy it again",
     ),
 ]
 
