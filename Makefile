@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test docs lint native-test hurried-test patient-test thorough-test vcan-test faults fuzz benchmark soak wheels deb install uninstall lock audit clean
+.PHONY: help demo test docs lint native-test hurried-test patient-test thorough-test viewer-test vcan-test faults fuzz benchmark soak wheels deb install uninstall lock audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -43,7 +43,7 @@ native-test: hurried-test patient-test ## the tests that need neither SocketCAN 
 
 hurried-test: $(READY)
 	@tests/setup/apt-needs mosquitto:mosquitto chromium:chromium openssl:openssl || $(OPTIONAL)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 -m "not (vcan or systemd or browser or patient or thorough)"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 -m "not (vcan or systemd or browser or viewer or patient or thorough)"
 	$(BIN)/pytest -m browser
 
 # These compute on one CPU and ask no clock, so that they go beside the guest, which is one CPU, too. A slow machine may
@@ -55,6 +55,11 @@ thorough-test: $(READY) ## what `make test` leaves out: the same asked of furthe
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m "thorough and not (vcan or systemd)"
 	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(MAKE) deb && $(GUEST) --systemd $(BIN)/pytest -m "systemd and thorough" || $(NO_GUEST)
+
+viewer-test: $(READY) ## the live server in Foxglove Studio and by the libraries of Lichtblick, from the npm registry
+	@tests/setup/apt-needs node:nodejs npm:npm chromium:chromium
+	npm ci --prefix tests/support/viewers --ignore-scripts --no-audit --no-fund
+	$(BIN)/pytest -m viewer
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
@@ -106,7 +111,7 @@ audit: $(READY) ## known vulnerabilities of what requirements.lock names
 	$(BIN)/python deploy/audit
 
 clean: ## remove the environment and everything that was made
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .fuzz dist build .guest.*
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .fuzz dist build .guest.* tests/support/viewers/node_modules
 
 $(READY): pyproject.toml requirements.lock
 	tests/setup/environment
