@@ -1,16 +1,22 @@
 """The samples of a recording, made by the same code in the live loop and in a replay of raw frames.
 
 A recorded sample consists of the roll filter's state at an IMU sample, the drive values known by then, and the
-setpoints that were sent in response. The kind of vehicle defines the channels. The setpoints are known at once in the
-live loop; in a raw log, they are known when the frames up to the next IMU sample have been read.
+setpoints that were sent in response. The kind of vehicle defines the channels.
+
+In the live loop the setpoints are known at once. A raw log does not say which sample a set of setpoints answers. On a
+machine that is held up, the next samples can be on the bus before an answer, or in the middle of it, and a sample that
+waited behind others is not answered at all. What is certain: sets leave in the order of their samples, at most one a
+sample, and none begins before its sample. Of what this allows, the latest sample is taken for each set.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 from upright.drivers.cia402.states import State
+from upright.drivers.foreign import SYNC_COB_ID
 from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.roll_filter import RollFilter, RollState
 from upright.telemetry.samples import CanFrame, Frame
@@ -26,6 +32,45 @@ def row(kind: Kind[Any], attitude: RollState, drives: Measurement, command: Comm
     return Frame(attitude.timestamp_ns, kind.values(attitude, drives, command, phase))
 
 
+@dataclass(slots=True)
+class _Answer:
+    """A set of setpoint frames, and the number of the newest sample when it began."""
+
+    newest: int
+    frames: list[CanFrame]
+    ended: bool = False
+
+
+class _Answers:
+    """The sets of setpoint frames in a log. A set ends with SYNC, or where one of its ids comes again."""
+
+    def __init__(self, io: VehicleIo) -> None:
+        self._ids = {can_id for drive in io.drives for can_id in drive.config.rpdo_codecs}
+        self._all: list[_Answer] = []
+
+    def take(self, frame: CanFrame, newest: int) -> bool:
+        """Whether the frame belongs to a set; `newest` is the number of the newest sample."""
+        ends = frame.can_id == SYNC_COB_ID
+        if not ends and frame.can_id not in self._ids:
+            return False
+        last = self._all[-1] if self._all else None
+        if last is None or last.ended or any(frame.can_id == each.can_id for each in last.frames):
+            last = _Answer(newest, [])
+            self._all.append(last)
+        last.frames.append(frame)
+        last.ended = ends
+        return True
+
+    def by_sample(self, samples: int) -> list[list[CanFrame]]:
+        """For each of `samples`, the frames that were sent in answer to it or before it."""
+        found: list[list[CanFrame]] = [[] for _ in range(samples)]
+        before = samples
+        for answer in reversed(self._all):
+            before = max(0, min(answer.newest, before - 1))
+            found[before][:0] = answer.frames
+        return found
+
+
 def rows_from_frames(
     frames: Iterable[CanFrame], io: VehicleIo, kind: Kind[Any], roll_filter: RollFilter, start_ns: int = 0
 ) -> Iterator[Frame]:
@@ -36,15 +81,16 @@ def rows_from_frames(
     """
     io.reset(start_ns)
     roll_filter.reset()
-    attitude: RollState | None = None
-    drives: Measurement | None = None
+    answers = _Answers(io)
+    samples: list[tuple[RollState, Measurement]] = []
     for frame in frames:
-        sample = io.handle(frame)
-        if sample is None:
+        if answers.take(frame, len(samples) - 1):
             continue
-        if attitude is not None and drives is not None and drives.timestamp_ns:
+        sample = io.handle(frame)
+        if sample is not None:
+            samples.append((roll_filter.update(sample), kind.measure()))
+    for (attitude, drives), answer in zip(samples, answers.by_sample(len(samples)), strict=True):
+        for frame in answer:
+            io.handle(frame)
+        if drives.timestamp_ns:
             yield row(kind, attitude, drives, UNKNOWN, NAN)
-        attitude = roll_filter.update(sample)
-        drives = kind.measure()
-    if attitude is not None and drives is not None and drives.timestamp_ns:
-        yield row(kind, attitude, drives, UNKNOWN, NAN)

@@ -10,9 +10,12 @@ from closed_loop import ClosedLoop
 from thorough import of_many
 
 from upright.drivers.cia402.states import State
+from upright.drivers.foreign import SYNC_COB_ID
+from upright.drivers.vehicle_io import VehicleIo
 from upright.service.control import assembly
 from upright.service.control.cycle.loop import Mode
 from upright.service.control.cycle.rows import rows_from_frames
+from upright.telemetry.samples import CanFrame
 from upright.vehicles import registry
 from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile, load
@@ -20,6 +23,7 @@ from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 ROLL = MONOCAB.index_of("roll")
 PRECESSION = MONOCAB.index_of("precession")
+SETPOINT = MONOCAB.index_of("precession_rate_setpoint")
 PHASE = MONOCAB.index_of("phase")
 
 
@@ -152,6 +156,50 @@ def test_measured_samples_are_rebuilt_bit_for_bit_from_raw_frames() -> None:
     assert [(f.timestamp_ns, f.values[:measured]) for f in rebuilt] == [
         (f.timestamp_ns, f.values[:measured]) for f in live
     ]
+
+
+EVERY = 7
+
+
+def held_up(frames: list[CanFrame], io: VehicleIo, how: str) -> list[CanFrame]:
+    """The frames as they would be on the bus if the loop had been held up at every `EVERY`-th sample.
+
+    `late`: between the sample and its set of setpoints, which comes with the next one's. `torn`: within the set.
+    `skipped`: before it read the sample, which then has no answer.
+    """
+    sets = [can_id for drive in io.drives for can_id in drive.config.rpdo_codecs] + [SYNC_COB_ID]
+    out: list[CanFrame] = []
+    late: list[CanFrame] = []
+    samples = 0
+    for frame in frames:
+        samples += frame.can_id == io.imu.can_ids[-1]
+        if frame.can_id in sets and samples % EVERY == 0 and (how != "torn" or frame.can_id != sets[0]):
+            late.append(frame)
+        else:
+            if frame.can_id in sets and late:
+                out += late if how != "skipped" else []
+                late.clear()
+            out.append(frame)
+    return out
+
+
+@pytest.mark.parametrize("how", ["late", "torn", "skipped"])
+def test_setpoints_of_a_loop_that_was_held_up_return_to_their_samples(how: str) -> None:
+    closed = ClosedLoop()
+    closed.run("step")
+    (_, start_ns), (_, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
+    raw = [frame for frame in closed.raw if start_ns <= frame.timestamp_ns <= end_ns]
+    io, roll_filter = assembly.vehicle_io(closed.vehicle), assembly.roll_filter(closed.vehicle)
+    kind = registry.kind_of(closed.vehicle, io)
+    expected = [row.values[SETPOINT] for row in rows_from_frames(raw, io, kind, roll_filter, start_ns)]
+    found = [row.values[SETPOINT] for row in rows_from_frames(held_up(raw, io, how), io, kind, roll_filter, start_ns)]
+    assert len({*expected}) > 1000
+    if how == "skipped":
+        samples = sum(frame.can_id == io.imu.can_ids[-1] for frame in raw)
+        for sample in range(EVERY, samples + 1, EVERY):
+            place = sample - 1 - (samples - len(expected))
+            expected[place] = expected[place - 1]
+    assert found == expected
 
 
 def test_operator_request_ends_the_experiment_in_order() -> None:
