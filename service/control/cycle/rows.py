@@ -51,7 +51,7 @@ class _Answers:
     def take(self, frame: CanFrame, newest: int) -> bool:
         """Whether the frame belongs to a set; `newest` is the number of the newest sample."""
         ends = frame.can_id == SYNC_COB_ID
-        if not ends and frame.can_id not in self._ids:
+        if frame.error or frame.remote or frame.extended or not (ends or frame.can_id in self._ids):
             return False
         last = self._all[-1] if self._all else None
         if last is None or last.ended or any(frame.can_id == each.can_id for each in last.frames):
@@ -63,11 +63,14 @@ class _Answers:
 
     def by_sample(self, samples: int) -> list[list[CanFrame]]:
         """For each of `samples`, the frames that were sent in answer to it or before it."""
-        found: list[list[CanFrame]] = [[] for _ in range(samples)]
-        before = samples
+        places, before = list[int](), samples
         for answer in reversed(self._all):
             before = max(0, min(answer.newest, before - 1))
-            found[before][:0] = answer.frames
+            places.append(before)
+        found: list[list[CanFrame]] = [[] for _ in range(samples)]
+        if samples:
+            for place, answer in zip(reversed(places), self._all, strict=True):
+                found[place] += answer.frames
         return found
 
 

@@ -202,6 +202,20 @@ def test_setpoints_of_a_loop_that_was_held_up_return_to_their_samples(how: str) 
     assert found == expected
 
 
+@pytest.mark.parametrize("samples", [0, 1])
+def test_answers_without_samples_are_read_and_cost_no_more_than_their_number(samples: int) -> None:
+    """As in a log of the drives' bus alone, or one that begins long after the last sample."""
+    closed = ClosedLoop()
+    closed.advance(1.0)
+    io = assembly.vehicle_io(closed.vehicle)
+    imu = [frame for frame in closed.raw if frame.can_id in io.imu.can_ids][: samples * len(io.imu.can_ids)]
+    sets = [frame for frame in closed.raw if frame.can_id not in io.imu.can_ids]
+    error = CanFrame(sets[-1].timestamp_ns, SYNC_COB_ID, bytes(8), 0, error=True)
+    kind, roll_filter = registry.kind_of(closed.vehicle, io), assembly.roll_filter(closed.vehicle)
+    rows = list(rows_from_frames([*imu, *100 * sets, error], io, kind, roll_filter))
+    assert len(rows) <= samples
+
+
 def test_operator_request_ends_the_experiment_in_order() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
