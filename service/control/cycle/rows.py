@@ -26,6 +26,10 @@ NAN = float("nan")
 UNKNOWN = Command(State.UNKNOWN, NAN, NAN, NAN)
 """Values that a log does not contain: reference and excitation were never on the bus."""
 
+HELD_BACK = 1000
+"""Samples after which no later one decides any more which sample a set answers: no hold-up of that length is survived
+by an experiment."""
+
 
 def row(kind: Kind[Any], attitude: RollState, drives: Measurement, command: Command, phase: float) -> Frame:
     """The recorded sample of one cycle, in the order of the kind's channels."""
@@ -61,17 +65,21 @@ class _Answers:
         last.ended = ends
         return True
 
-    def by_sample(self, samples: int) -> list[list[CanFrame]]:
-        """For each of `samples`, the frames that were sent in answer to it or before it."""
+    def give(self, samples: int, first: int) -> list[list[CanFrame]]:
+        """The frames that were sent in answer to each of the `first` of `samples`; what is left is numbered anew."""
         places, before = list[int](), samples
         for answer in reversed(self._all):
             before = max(0, min(answer.newest, before - 1))
             places.append(before)
-        found: list[list[CanFrame]] = [[] for _ in range(samples)]
-        if samples:
-            for place, answer in zip(reversed(places), self._all, strict=True):
-                found[place] += answer.frames
-        return found
+        given, left = [list[CanFrame]() for _ in range(first)], list[_Answer]()
+        for place, answer in zip(reversed(places), self._all, strict=True):
+            if place < first:
+                given[place] += answer.frames
+            else:
+                answer.newest -= first
+                left.append(answer)
+        self._all = left
+        return given
 
 
 def rows_from_frames(
@@ -86,14 +94,21 @@ def rows_from_frames(
     roll_filter.reset()
     answers = _Answers(io)
     samples: list[tuple[RollState, Measurement]] = []
+
+    def rows(first: int) -> Iterator[Frame]:
+        for (attitude, drives), answer in zip(samples[:first], answers.give(len(samples), first), strict=True):
+            for frame in answer:
+                io.handle(frame)
+            if drives.timestamp_ns:
+                yield row(kind, attitude, drives, UNKNOWN, NAN)
+        del samples[:first]
+
     for frame in frames:
-        if answers.take(frame, len(samples) - 1):
+        if samples and answers.take(frame, len(samples) - 1):
             continue
         sample = io.handle(frame)
         if sample is not None:
             samples.append((roll_filter.update(sample), kind.measure()))
-    for (attitude, drives), answer in zip(samples, answers.by_sample(len(samples)), strict=True):
-        for frame in answer:
-            io.handle(frame)
-        if drives.timestamp_ns:
-            yield row(kind, attitude, drives, UNKNOWN, NAN)
+            if len(samples) == 2 * HELD_BACK:
+                yield from rows(HELD_BACK)
+    yield from rows(len(samples))

@@ -13,6 +13,7 @@ from upright.drivers.cia402.states import State
 from upright.drivers.foreign import SYNC_COB_ID
 from upright.drivers.vehicle_io import VehicleIo
 from upright.service.control import assembly
+from upright.service.control.cycle import rows as rows_module
 from upright.service.control.cycle.loop import Mode
 from upright.service.control.cycle.rows import rows_from_frames
 from upright.telemetry.samples import CanFrame
@@ -214,6 +215,19 @@ def test_answers_without_samples_are_read_and_cost_no_more_than_their_number(sam
     kind, roll_filter = registry.kind_of(closed.vehicle, io), assembly.roll_filter(closed.vehicle)
     rows = list(rows_from_frames([*imu, *100 * sets, error], io, kind, roll_filter))
     assert len(rows) <= samples
+
+
+@pytest.mark.parametrize("held_back", [3, 50])
+def test_rows_do_not_depend_on_how_many_samples_are_held_back(held_back: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = ClosedLoop()
+    closed.run("step")
+    (_, start_ns), (_, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
+    raw = [frame for frame in closed.raw if start_ns <= frame.timestamp_ns <= end_ns]
+    io, roll_filter = assembly.vehicle_io(closed.vehicle), assembly.roll_filter(closed.vehicle)
+    kind, late = registry.kind_of(closed.vehicle, io), held_up(raw, io, "late")
+    expected = [row.values[SETPOINT] for row in rows_from_frames(late, io, kind, roll_filter, start_ns)]
+    monkeypatch.setattr(rows_module, "HELD_BACK", held_back)
+    assert [row.values[SETPOINT] for row in rows_from_frames(late, io, kind, roll_filter, start_ns)] == expected
 
 
 def test_operator_request_ends_the_experiment_in_order() -> None:
