@@ -42,6 +42,8 @@ UNLISTED: dict[str, pendulum_plant.Missing] = {
     "damping on one side": lambda t, angle, rate: -0.4 * max(rate, 0.0),
 }
 
+pytestmark = pytest.mark.timeout(400)  # a diagnosis has 300 s
+
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
