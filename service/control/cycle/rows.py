@@ -27,8 +27,8 @@ UNKNOWN = Command(State.UNKNOWN, NAN, NAN, NAN)
 """Values that a log does not contain: reference and excitation were never on the bus."""
 
 HELD_BACK = 1000
-"""Samples after which no later one decides any more which sample a set answers: no hold-up of that length is survived
-by an experiment."""
+"""Samples after which a sample has its answer: 2 s at 500 Hz. A loop that is late for that long has stopped its vehicle
+(limits.missed_cycles), and the memory that a log of hours needs does not grow with it."""
 
 
 def row(kind: Kind[Any], attitude: RollState, drives: Measurement, command: Command, phase: float) -> Frame:

@@ -1,4 +1,4 @@
-// node viewer.js URL TOPIC...   Connects as Lichtblick does, by its libraries, and prints a line of JSON for each message.
+// node lichtblick.js URL TOPIC...   Connects as Lichtblick does, by its libraries, and prints a line of JSON for each message.
 //
 // The first line is what the server says of itself, with the subprotocol that was agreed on. Numbers are texts, so that
 // NaN and every digit arrive.
