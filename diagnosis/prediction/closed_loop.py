@@ -123,8 +123,10 @@ def steps(
     holds = {each.name: each.hold for each in task.model.inputs}
     held = [(place, name) for place, name in enumerate(kernel.inputs) if holds[name] is not Hold.CUBIC]
     curves = [(place, name) for place, name in enumerate(kernel.inputs) if holds[name] is Hold.CUBIC]
-    noise, kicks = ((), ()) if shocks is None else (shocks[0].tolist(), shocks[1])
+    noise, kicks = ((), ()) if shocks is None else (each.tolist() for each in shocks)
     before, known = memory.copy(), False
+    here, there = memory.bytes(), before.bytes()
+    state: Any = memory.x.data
     if first == 0:
         move(0, 0, False)
     for row in range(first, last):
@@ -147,14 +149,17 @@ def steps(
                 if row + 2 <= last:
                     inputs[row + 2, place] = given[name] + chord
         if curved and known:  # only now the curve to this sample is known
-            memory.restore(before)
+            for mine, other in zip(here, there, strict=True):
+                mine[:] = other
             move(row - 1, row, True)
         if noise:
             for place in channels:
                 measured[row, place] += noise[row - first][place]
-            memory.x += kicks[row - first]
+            for place, kick in enumerate(kicks[row - first]):
+                state[place] += kick
         if curved:
-            before.restore(memory)
+            for mine, other in zip(here, there, strict=True):
+                other[:] = mine
         known = curved
         move(row, row + 1, True)
 

@@ -304,9 +304,10 @@ def _run(
         noise = random.standard_normal((len(rows) - first, len(kick))) @ kick.T
         shocks = noise, noise @ found.floor.gain.T
     task, controller = found.problem, loop.controller(float(segment.time[first]))
+    state = memory.x.data
     with np.errstate(all="ignore"):
         for _ in steps(task, _values(found), rows, memory, controller, first=first, shocks=shocks):
-            if not isfinite(sum(memory.x.tolist())):
+            if not isfinite(sum(state)):
                 rows.measured[:] = np.nan
                 break
     if shocks is not None:
