@@ -16,8 +16,10 @@ from upright.telemetry.tables.raw import Column, RawTable
 
 HEADER = 16
 """Bytes before the first message."""
-MOST_AGAIN = 4 * 65_536
-"""Reads without getting farther: two for each byte of the longest message, and as many again."""
+LONGEST = 65_536
+"""Bytes of the longest message."""
+AGAIN = 4
+"""Reads without getting farther, for each byte of the longest message or of a shorter file: two, and as many again."""
 
 
 def read(path: Path) -> Sequence[RawTable]:
@@ -50,8 +52,10 @@ class _Ending(io.BytesIO):
     at the end of some files for ever. Raises RecordingError then."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path.read_bytes())
+        content = path.read_bytes()
+        super().__init__(content)
         self._path = path
+        self._most = AGAIN * max(HEADER, min(len(content), LONGEST))
         self._farthest = 0
         self._again = 0
 
@@ -61,7 +65,7 @@ class _Ending(io.BytesIO):
         if place > self._farthest:
             self._farthest, self._again = place, 0
         self._again += 1
-        if self._again > MOST_AGAIN:
+        if self._again > self._most:
             what = f"is damaged before byte {self._farthest}: no message ends there"
             raise RecordingError(str(self._path), "", what, remedy="Copy the file again from the vehicle.")
         return data
