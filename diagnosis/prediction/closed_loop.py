@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -86,11 +87,12 @@ def simulate(model: Model, experiment: Experiment) -> Course:
     task = problem(model, (), rows=[rows])
     start = task.kernel.memory(np.zeros(len(task.kernel.states)))
     course = Segment(time[first:], knots[first:], usual[first:], rows.measured[first:], experiment.name)
+    bounds = [(each, each.channel, ROOM * each.largest) for each in experiment.limits]
     for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller()):
-        for limit in experiment.limits:
-            value = abs(given[limit.channel] if limit.channel in given else seen[limit.channel])
+        for limit, channel, bound in bounds:
+            value = abs(given[channel] if channel in given else seen[channel])
             # Until it has settled, the model is in states in which the vehicle never was.
-            if not value <= (ROOM * limit.largest if row >= first else np.inf):
+            if not value <= (bound if row >= first else inf):
                 return Course(course, _broken(limit, value, float(time[row])))
     return Course(course, "")
 

@@ -36,14 +36,6 @@ LINE = 64
 """Bytes of a cache line."""
 ELSEWHERE = -1
 """Number of a column that is not a parameter, initial state or gain."""
-_Kind = type[ctypes.c_int64] | type[ctypes.c_void_p]
-_INTEGER: _Kind = ctypes.c_int64
-_POINTER: _Kind = ctypes.c_void_p
-ARGUMENTS = (_POINTER, _POINTER, _INTEGER, *[_POINTER] * 5, _INTEGER, *[_POINTER] * 8, *[_INTEGER] * 5, *[_POINTER] * 4)
-"""Of the loops, see upright.models.compiler.loops.run."""
-OF_CALL = slice(17, 21)
-"""The first and the last sample, substeps, and whether the first one is skipped."""
-
 _loaded: dict[str, machine_code.Loaded] = {}
 
 
@@ -222,8 +214,7 @@ class Kernel:
         space += inputs * 14
         space += width * (4 * states + 3 * inputs + outputs * (2 + states) + 4)
         work, places = _aligned(space), np.empty(parameters + 3 * delays + inputs, dtype=np.int64)
-        used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, chosen, gain, by_gain)
-        given = (
+        table = (
             _address(functions),
             _address(structure),
             samples,
@@ -247,10 +238,13 @@ class Kernel:
             _pointer("sensitivity", sensitivity, rows, outputs, columns),
             _address(work),
             _address(places),
+            work.nbytes,
+            places.nbytes,
         )
-        # Converted once: with each call, that would take ten times as long as a sample.
-        arguments = [kind(each) for kind, each in zip(ARGUMENTS, given, strict=True)]
-        start, end, _, skipped = arguments[OF_CALL]
+        arguments = np.array(table, dtype=np.int64)
+        address = ctypes.c_void_p(_address(arguments))
+        held = (memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer)
+        used = (segment, values, *held, chosen, gain, by_gain, arguments, work, places)
         loops = _loops()
 
         def proceed(first: int, last: int, skip: bool, used: object = used) -> None:
@@ -258,10 +252,7 @@ class Kernel:
                 raise ModelError(
                     "pass", f"there are no samples {first} to {last} of {rows}", remedy="choose samples that exist."
                 )
-            work.fill(0.0)
-            places.fill(0)
-            start.value, end.value, skipped.value = first, last, skip
-            loops(*arguments)
+            loops(address, first, last, skip)
 
         return proceed
 
@@ -360,6 +351,7 @@ def _loops(progress: Progress | None = None) -> Any:
             found = machine_code.assemble(intermediate_code(LOOPS), {}, optimise=True)
             machine_code.keep(name, found)
         code = machine_code.load(found, (LOOPS,))
-        function = ctypes.CFUNCTYPE(None)(code.addresses[LOOPS])  # its caller makes the ARGUMENTS
+        integer = ctypes.c_int64
+        function = ctypes.CFUNCTYPE(None, ctypes.c_void_p, integer, integer, integer)(code.addresses[LOOPS])
         _loaded[LOOPS] = machine_code.Loaded(code.addresses, {"function": function}, code.engine)
     return _loaded[LOOPS].facts["function"]

@@ -535,14 +535,52 @@ def run(
             given_memory_S[i * na + c] = memory_S[i * width + c]
 
 
+KINDS = (INTEGERS, INTEGERS, INTEGER, *[NUMBERS] * 5, INTEGER, INTEGERS, *[NUMBERS] * 6, INTEGERS)
+KINDS += (*[INTEGER] * 5, *[NUMBERS] * 3, INTEGERS)
+"""Of the arguments of `run`."""
+FIRST, LAST, SKIP, WORK, PLACES = 17, 18, 20, 24, 25
+"""Places among them."""
+
+
 def intermediate_code(name: str) -> str:
-    """`run` as LLVM's intermediate code, where it is called `name`."""
-    kinds = (INTEGERS, INTEGERS, INTEGER, *[NUMBERS] * 5, INTEGER, INTEGERS, *[NUMBERS] * 6, INTEGERS)
-    kinds += (*[INTEGER] * 5, *[NUMBERS] * 3, INTEGERS)
+    """LLVM's intermediate code of a function `name(table, first, last, skip)`, which empties the workspace and calls
+    `run`. `table` holds all arguments, addresses as integers, then the bytes of `work` and of `places`: a caller from
+    Python takes longer to give 26 arguments than `run` takes for a sample.
+    """
     # numba only translates: otherwise it would optimise twice, and unroll loops that rarely run (see machine_code).
     level, config.OPT = config.OPT, type(config.OPT)(0)
     try:
-        compiled = cfunc(types.void(*kinds), **OPTIONS)(run)
+        compiled = cfunc(types.void(*KINDS), **OPTIONS)(run)
     finally:
         config.OPT = level
-    return compiled.inspect_llvm().replace(compiled.native_name, name)
+    text, whole = compiled.inspect_llvm(), f"{name}_of_all"
+    return "\n".join([text.replace(compiled.native_name, whole), *_by_table(name, whole)])
+
+
+def _by_table(name: str, whole: str) -> list[str]:
+    given = {FIRST: "%first", LAST: "%last", SKIP: "%skip"}
+    empty = "call void @llvm.memset.p0.i64"
+    lines = [
+        "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)",
+        f"define void @{name}(ptr %table, i64 %first, i64 %last, i64 %skip) {{",
+    ]
+    for place in range(len(KINDS) + 2):
+        lines += [
+            f"%at.{place} = getelementptr i64, ptr %table, i64 {place}",
+            f"%v.{place} = load i64, ptr %at.{place}",
+        ]
+        if place < len(KINDS) and KINDS[place] is not INTEGER:
+            lines += [f"%p.{place} = inttoptr i64 %v.{place} to ptr"]
+    arguments = ", ".join(
+        f"i64 {given.get(place, f'%v.{place}')}" if kind is INTEGER else f"ptr %p.{place}"
+        for place, kind in enumerate(KINDS)
+    )
+    return [
+        *lines,
+        f"{empty}(ptr %p.{WORK}, i8 0, i64 %v.{len(KINDS)}, i1 false)",
+        f"{empty}(ptr %p.{PLACES}, i8 0, i64 %v.{len(KINDS) + 1}, i1 false)",
+        f"call ptr @{whole}({arguments}) noinline",
+        "ret void",
+        "}",
+        "",
+    ]
