@@ -82,6 +82,22 @@ GOLDEN = (
     Recipe("monocab", "multisine", (), 1, 10.0),
     Recipe("monocab", "multisine", (), 5, 15.0),
     Recipe("monocab", "multisine", (), 11, 15.0),
+    *(
+        Recipe("monocab", "multisine", hide, 1, 30.0)
+        for hide in (
+            (),
+            ("coulomb_friction=0.5",),
+            ("coulomb_friction=0.0263@25",),
+            ("viscous_friction=0.5@25",),
+            ("periodic_disturbance=0.5",),
+            ("periodic_disturbance=4@25",),
+            ("torque_step=0.2@25",),
+            ("disturbance=8,0.3", "viscous_friction=1@25"),
+        )
+    ),
+    Recipe("monocab", "multisine", (), 2, 30.0),
+    Recipe("monocab", "multisine", ("disturbance=8,0.3",), 11, 30.0),
+    Recipe("monocab", "hold", (), 1, 30.0),
     *(Recipe("twsbr", "square", (), seed) for seed in (1, 2, 3, 4)),
     Recipe("twsbr", "square", ("disturbance",), 97),
     Recipe("twsbr", "square", (), 21, 8.0),

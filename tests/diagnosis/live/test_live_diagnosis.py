@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import golden
 import numpy as np
 import pytest
 from observer_harness import VEHICLE
@@ -30,7 +31,7 @@ from upright.models.segment import Segment
 from upright.service.observer.live.news import News
 from upright.service.observer.live.online_estimators import online_estimators
 from upright.service.output import missing_effects
-from upright.service.virtual.run import BOOT_TIME, record
+from upright.service.virtual.run import BOOT_TIME
 from upright.simulation.vehicle import START_NS
 from upright.telemetry.recording import Recording
 from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
@@ -46,7 +47,7 @@ GIVEN: dict[str, Any] = {
 
 @cache
 def recorded(*hide: str, excitation: str = "multisine", seed: int = 1, duration: float = 30.0) -> Recording:
-    return record("monocab", excitation, hide=list(hide), seed=seed, duration=duration)
+    return golden.recorded("monocab", excitation, hide=hide, seed=seed, duration=duration)
 
 
 def course(recording: Recording, diagnosis: LiveDiagnosis | None = None) -> list[tuple[float, LiveResult]]:
