@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +78,25 @@ def test_text_output_has_the_findings_and_the_disturbance(recording: Path) -> No
     assert "Left untried" not in said
 
 
-def test_json_has_the_disturbance_and_the_relevance_of_a_finding(recording: Path) -> None:
-    document = json.loads(upright(recording, *EFFECTS, "--budget", "inf", "--json"))
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What one diagnosis answers and writes."""
+
+    document: Any
+    model: Path
+    report: Path
+
+
+@pytest.fixture(scope="module")
+def written(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Written:
+    folder = tmp_path_factory.mktemp("written")
+    model, report = folder / "repaired.toml", folder / "diagnosis.html"
+    asked = (*EFFECTS, *UNHURRIED, "--auto", model, "--report", report, "--json")
+    return Written(json.loads(upright(recording, *asked)), model, report)
+
+
+def test_json_has_the_disturbance_and_the_relevance_of_a_finding(written: Written) -> None:
+    document = written.document
     assert document["untried"] == []
     assert document["disturbance"]["roll"]["unit"] == "N m"
     assert set(document["prediction_limit"]["rmse"]) == {"roll", "roll_rate"}
@@ -128,9 +145,8 @@ def test_named_effect_is_first_and_marked_whatever_the_odds_of_the_others(capsys
     assert below[2].split()[0] == "hysteresis"
 
 
-def test_model_trail_and_report_are_written_with_the_finding(recording: Path, tmp_path: Path) -> None:
-    model, report = tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
-    document = json.loads(upright(recording, *EFFECTS, "--auto", model, "--report", report, "--json"))
+def test_model_trail_and_report_are_written_with_the_finding(written: Written) -> None:
+    document, model = written.document, written.model
     assert document["verdict"] == "missing_effect"
     assert document["findings"][0]["effect"] == "viscous_friction"
     file = read(model)
@@ -141,7 +157,7 @@ def test_model_trail_and_report_are_written_with_the_finding(recording: Path, tm
     trail = json.loads(model.with_suffix(".trail.json").read_text())
     assert trail["findings"] == document["findings"]
     assert len(trail["recordings"]["multisine.arrow"]) == 64
-    page = report.read_text()
+    page = written.report.read_text()
     assert "viscous_friction" in page
     assert trail["recordings"]["multisine.arrow"] in page
 
