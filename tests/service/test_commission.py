@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,6 +21,7 @@ from upright.service.commission.evidence import Evidence, Found
 from upright.service.commission.guide import Guide
 from upright.service.control.commissioned import Record, RecordError
 from upright.service.control.daemon import Places
+from upright.service.virtual import daemon as virtual_daemon
 from upright.service.virtual.daemon import daemon_beside
 from upright.service.virtual.run import record
 from upright.simulation.config import SimulationConfig
@@ -186,6 +188,13 @@ def guided(
         yield Guide(told, [places.socket], lambda messages: list(messages)[-1])
 
 
+def until(there: Callable[[], bool], limit: float = 60.0) -> None:
+    end = time.monotonic() + limit
+    while not there():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
 class TestGuide:
     def test_steps_are_carried_out_kept_and_resumed_by_another_daemon(self, tmp_path: Path) -> None:
         with guided(tmp_path) as guide:
@@ -221,8 +230,12 @@ class TestGuide:
                 guide.carry_out("silence")
             assert all("silence" not in each.name for each in tmp_path.iterdir())
 
-    def test_a_refused_experiment_is_in_the_record_with_its_reason(self, tmp_path: Path) -> None:
+    def test_a_refused_experiment_is_in_the_record_with_its_reason(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(virtual_daemon, "READY_TIMEOUT", 0.0)  # it never gets ready
         with guided(tmp_path, truth=with_imu(axes=("+x", "-y", "-z"))) as guide:
+            until(lambda: "does not rest on a support" in str(guide.ask({"verb": "status"})["status"]["interlocks"]))
             entry = guide.carry_out("bus")
             assert entry.state is State.NOT_ACCEPTED
             assert any("does not rest on a support" in line for line in entry.text)
