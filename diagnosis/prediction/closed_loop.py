@@ -127,7 +127,7 @@ def steps(
     curves = [(place, name) for place, name in enumerate(kernel.inputs) if holds[name] is Hold.CUBIC]
     noise, kicks = ((), ()) if shocks is None else (each.tolist() for each in shocks)
     before, known = memory.copy(), False
-    here, there = memory.bytes(), before.bytes()
+    here, there = memory.views(), before.views()
     state: Any = memory.x.data
     if first == 0:
         move(0, 0, False)

@@ -36,6 +36,7 @@ LINE = 64
 """Bytes of a cache line."""
 ELSEWHERE = -1
 """Number of a column that is not a parameter, initial state or gain."""
+
 _loaded: dict[str, machine_code.Loaded] = {}
 
 
@@ -72,7 +73,7 @@ class Memory:
         """A copy of this point, to return to."""
         return Memory(*(each.copy() for each in self._arrays))
 
-    def bytes(self) -> list[memoryview]:
+    def views(self) -> list[memoryview]:
         """Views of what is in its arrays: `view[:] = view` goes on from another point, in a tenth of a microsecond."""
         return [each.data.cast("B") for each in self._arrays if each.size]
 
