@@ -234,7 +234,7 @@ class CandumpReader:
             raise unreadable(self.path, error) from error
 
     def _parsed(self, file: TextIO) -> Iterator[CanFrame]:
-        for number, line in enumerate(_lines(file), start=1):
+        for number, line in enumerate(lines_of(file), start=1):
             if not line.endswith("\n"):
                 # Even if it parses, its last data bytes may be missing.
                 self._notes.append(f"line {number} is cut off and was left out")
@@ -336,7 +336,7 @@ def _expected(frame: CanFrame, recent: Iterable[CanFrame]) -> int:
     return 2 * stamps[-1] - stamps[-2] if len(stamps) > 1 else 0
 
 
-def _lines(file: TextIO) -> Iterator[str]:
+def lines_of(file: TextIO) -> Iterator[str]:
     """The lines; of one that is longer than LONGEST, its beginning."""
     while line := file.readline(LONGEST):
         rest = line

@@ -10,13 +10,14 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from gc import collect
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 
-from upright.telemetry.candump import Skipped, open_text
+from upright.telemetry.candump import Skipped, lines_of, open_text
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.formats.files import missing, quiet
 from upright.telemetry.formats.mf4 import opened
@@ -76,32 +77,50 @@ def _complete(message: can.Message, line: str) -> can.Message:
     return message
 
 
+class _Lines(io.TextIOBase):
+    """`lines` as an open file, for a reader that takes one line after the other: of a log none needs all at once."""
+
+    def __init__(self, lines: Iterable[str]) -> None:
+        self._lines = iter(lines)
+
+    def readline(self, size: int = -1, /) -> str:  # type: ignore[override]  # IOBase's are bytes
+        return next(self._lines, "")
+
+
+def _begun(lines: Iterator[str]) -> tuple[str, Iterator[str]]:
+    """The first lines, HEAD characters or a few more, and all lines."""
+    head: list[str] = []
+    size = 0
+    while size < HEAD and (line := next(lines, "")):
+        head.append(line)
+        size += len(line)
+    return "".join(head), chain(head, lines)
+
+
 def _asc(path: Path, skipped: Skipped) -> Iterable[can.Message]:
     with open_text(path) as file:
-        text = re.sub(r"^(\s*\d+),(\d+\s)", r"\1.\2", file.read(), flags=re.MULTILINE)  # decimal commas
-    head = re.search(r"^\s*base\s+\w+\s+timestamps\s+relative", text[:HEAD], re.IGNORECASE | re.MULTILINE)
-    yield from _Asc(io.StringIO(_accumulated(text) if head else text), skipped)
+        head, lines = _begun(re.sub(r"^(\s*\d+),(\d+\s)", r"\1.\2", line) for line in lines_of(file))  # decimal commas
+        relative = re.search(r"^\s*base\s+\w+\s+timestamps\s+relative", head, re.IGNORECASE | re.MULTILINE)
+        yield from _Asc(_Lines(_accumulated(lines) if relative else lines), skipped)
 
 
-def _accumulated(text: str) -> str:
-    """An ASC file with times since the line before, with times since its beginning."""
-    time, lines = 0.0, []
-    for line in text.splitlines():
+def _accumulated(lines: Iterable[str]) -> Iterator[str]:
+    """The lines of an ASC file with times since the line before, with times since its beginning."""
+    time = 0.0
+    for line in lines:
         stamp = re.match(r"\s*(\d+\.\d+)(?=\s)", line)
         if stamp:
             time += float(stamp[1])
             line = f"{time:.9f}{line[stamp.end() :]}"
-        lines.append(line)
-    return "\n".join(lines)
+        yield line
 
 
 def _trc(path: Path, skipped: Skipped) -> Iterable[can.Message]:
+    commas = re.compile(r"^(;\$STARTTIME=\d+|\s*\d+\)?\s+\d+),(\d+)")  # as a computer set to German writes them
     with open_text(path) as file:
-        text = file.read()
-    version = re.search(r"^;\$FILEVERSION=([\d.]+)", text, re.MULTILINE)
-    # Decimal commas, as a computer set to German writes them.
-    text = re.sub(r"^(;\$STARTTIME=\d+|\s*\d+\)?\s+\d+),(\d+)", r"\1.\2", text, flags=re.MULTILINE)
-    yield from _Trc(io.StringIO(text), skipped, version[1] if version else "1.0")
+        head, lines = _begun(commas.sub(r"\1.\2", line) for line in lines_of(file))
+        version = re.search(r"^;\$FILEVERSION=([\d.]+)", head, re.MULTILINE)
+        yield from _Trc(_Lines(lines), skipped, version[1] if version else "1.0")
 
 
 def _blf(path: Path, skipped: Skipped) -> Iterable[can.Message]:

@@ -10,6 +10,7 @@ import re
 import struct
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -23,9 +24,10 @@ import pytest
 from dialects import ANGLE
 
 from upright.service.offline.inputs.can_log import is_can_log
+from upright.service.offline.inputs.can_readers import READERS
 from upright.service.offline.inputs.replay import load as load_recording
 from upright.service.virtual.run import ClosedLoop
-from upright.telemetry.candump import format_frame, format_frames
+from upright.telemetry.candump import Skipped, format_frame, format_frames
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import CanFrame
@@ -557,3 +559,17 @@ def test_damaged_bus_log_leaves_no_file(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(RecordingError, match=r"is no CAN log that can be read.*Export it again"):
         load_recording(log, VEHICLE, database)
     assert not list(temporary.iterdir())
+
+
+@pytest.mark.parametrize("writer", [can.ASCWriter, can.TRCWriter])
+def test_log_is_read_line_by_line(writer: Callable[..., can.Listener], frames: list[CanFrame], tmp_path: Path) -> None:
+    """A log of an hour is larger than the memory of a small computer."""
+    path = tmp_path / f"run.{writer.__name__[:3].lower()}"
+    written_by(writer)(frames, path)
+    skipped = Skipped()
+    tracemalloc.start()
+    read = sum(1 for _ in READERS[path.suffix[1:]](path, skipped))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert read == len(frames)
+    assert most < 0.5 * path.stat().st_size
