@@ -8,7 +8,8 @@ estimate that would result if the effect were absent. A diagnosis considers the 
 explanations one is better if its odds, by Schwarz's criterion, exceed ODDS to one.
 
 Sources: Wilks, "The large-sample distribution of the likelihood ratio for testing composite hypotheses", Annals of
-Mathematical Statistics 9 (1938) 60-62; Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978)
+Mathematical Statistics 9 (1938) 60-62; Davies, "Hypothesis testing when a nuisance parameter is present only under the
+alternative", Biometrika 74 (1987) 33-43; Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978)
 461-464; Kass, Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995) 773-795: 20 to 1 is
 where "strong" begins.
 """
@@ -30,9 +31,14 @@ STRONG = math.log(ODDS)
 """The same as a difference of log-likelihoods, nats."""
 
 
-def by_chance(log_ratio: float, count: int) -> float:
-    """p-value of `log_ratio`, the rise of the log-likelihood (nats) by `count` further parameters, one at least."""
-    return float(chi2_sf(2.0 * log_ratio, max(count, 1)))
+def by_chance(log_ratio: float, count: int, shapes: int = 0, rows: int = 1) -> float:
+    """p-value of `log_ratio`, the rise of the log-likelihood (nats) by `count` further parameters, one at least.
+
+    Of these, `shapes` mean nothing without the others, as the frequency of an oscillation without its amplitude. Then
+    the ratio is the largest of a chi-squared process over them, and its p-value at most that of one point times the
+    number of maxima (Davies). A record of `rows` samples has at most as many for each shape.
+    """
+    return min(1.0, float(rows) ** shapes * float(chi2_sf(2.0 * log_ratio, max(count, 1))))
 
 
 def beyond_chance(log_ratio: float, count: int, tries: int = 1) -> bool:

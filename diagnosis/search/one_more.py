@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from upright.diagnosis.evidence import SIGNIFICANT
+from upright.diagnosis.evidence import SIGNIFICANT, by_chance
 from upright.diagnosis.explain import explain
 from upright.diagnosis.findings import Finding
 from upright.diagnosis.fits.confounded import fits as fits_of_confounded
@@ -43,7 +43,6 @@ from upright.estimators.fit.innovations import WIDEST
 from upright.estimators.fit.maximum_likelihood import Begin, noise_of
 from upright.estimators.fit.result import inverse
 from upright.estimators.methods.prediction_error import result
-from upright.estimators.tails import chi2_sf
 
 LATE = 0.7
 """Share of the time then left for fits of effects that the score test does not see."""
@@ -215,13 +214,11 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
 
 def _by_likelihood(fitted: FullFit, base: FullFit, scored: ScoreTest) -> float:
     """p-value of the likelihood ratio of `fitted` to `base`, corrected for innovations that scatter more than white
-    ones; 1 for an effect with shapes, which mean nothing without the effect, so that the ratio is not chi squared."""
+    ones."""
     assert fitted.candidate is not None
-    if fitted.candidate.shapes:
-        return 1.0
     score = next((each for each in scored.scores if each.candidate.name == fitted.name), None)
     gain = (fitted.log_likelihood - base.log_likelihood) / (score.inflation if score else 1.0)
-    return float(chi2_sf(2.0 * gain, fitted.count - base.count))
+    return by_chance(gain, fitted.count - base.count, len(fitted.candidate.shapes), fitted.rows)
 
 
 def named_alone(

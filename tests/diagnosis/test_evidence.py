@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from upright.diagnosis.evidence import LEVEL, ODDS, beyond_chance, is_supported, likelier
+from upright.diagnosis.evidence import LEVEL, ODDS, beyond_chance, by_chance, is_supported, likelier
 
 
 def test_false_alarm_rate_equals_the_level() -> None:
@@ -16,6 +16,17 @@ def test_false_alarm_rate_equals_the_level() -> None:
     noise = np.random.default_rng(1).standard_normal((20_000, 4))
     beyond = sum(beyond_chance(log_ratio, 4) for log_ratio in 0.5 * np.sum(noise**2, axis=1))
     assert abs(beyond / len(noise) - LEVEL) < 4.0 * math.sqrt(LEVEL / len(noise))
+
+
+def test_a_shape_that_noise_chose_does_not_make_an_effect_evident() -> None:
+    """The best of all frequencies in white noise: two amplitudes and a shape."""
+    rows = 64
+    noise = np.random.default_rng(2).standard_normal((5_000, rows))
+    fitted = np.max(np.abs(np.fft.rfft(noise, 8 * rows)[:, 8:-8]) ** 2 / rows, axis=1)
+    naive, bounded = (np.mean([by_chance(each, 3, shapes, rows) < LEVEL for each in fitted]) for shapes in (0, 1))
+    assert naive > 10.0 * LEVEL
+    assert bounded <= LEVEL
+    assert by_chance(8.0 + math.log(rows), 3, 1, rows) < LEVEL
 
 
 def test_best_of_many_effects_needs_a_higher_log_likelihood_ratio() -> None:

@@ -11,7 +11,7 @@ import pytest
 from upright.estimators.fit import innovations
 from upright.estimators.fit.gauss_newton import common_information
 from upright.estimators.fit.innovations import NoiseModel
-from upright.estimators.fit.likelihood import Likelihood, _at_least
+from upright.estimators.fit.likelihood import Likelihood, _at_least, _leave_out_diverging
 from upright.estimators.fit.problem import Problem, problem
 from upright.estimators.fit.stationary import stationary_all
 from upright.models import library
@@ -199,3 +199,34 @@ def test_stationary_covariance_is_kept_when_that_of_another_noise_has_not_settle
     transition = np.diag([2.0, 0.5, 0.9999])
     fast, _ = stationary_all(transition, np.array([np.diag([0.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])]))
     assert np.allclose(fast, np.diag([0.0, 1.0 / (1.0 - 0.25), 0.0]))
+
+
+def test_derivatives_that_run_away_do_not_hide_those_of_the_other_samples() -> None:
+    """More samples never make a standard deviation larger, if nothing is lost in rounding, as in a QR decomposition."""
+    rows = np.random.default_rng(3).standard_normal((2000, 5))
+    away = slice(700, 716)
+    rows[700:715] += np.outer(10.0 ** np.arange(15), (1.0, -2.0, 0.5, 3.0, 1.0))
+    rows[715] = 1e200  # the square is too large for a number
+    all_samples, others = (_deviations(np.delete(rows, each, axis=0)) for each in (715, away))
+
+    known = np.delete(rows, 715, axis=0)
+    assert np.linalg.matrix_rank(known.T @ known) == 1, "nothing is lost in this example"
+    _leave_out_diverging([part := rows.copy()])
+    found = np.sqrt(np.diag(np.linalg.inv(part.T @ part)))
+    assert np.all(0.99 * all_samples < found)
+    assert np.all(found < 1.01 * others)
+    assert set(np.flatnonzero(~part.any(axis=1))) <= set(range(700, 716))
+
+
+def _deviations(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(np.linalg.inv(np.linalg.qr(rows)[1]), axis=1))
+
+
+def test_no_sample_of_an_ordinary_record_is_left_out(task: Problem) -> None:
+    values = task.values(task.start)
+    active = task.free
+    for segment, initial, part in zip(task.segments, task.initials, task.own_start, strict=True):
+        run = task.kernel.run(segment, values, task.begin(initial, part), active=active, substeps=task.substeps)
+        columns = run.sensitivity[np.isfinite(segment.measured).all(axis=1)].reshape(-1, run.sensitivity[0].size)
+        _leave_out_diverging([kept := columns.copy()])
+        assert np.array_equal(kept, columns)
