@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import rig as shared
 from rig import Rig
 
+from upright.models.file.model_file import load_model
 from upright.service.commission.guide import Guide
 from upright.service.observer.live.online_estimators import online_estimators
-from upright.vehicles.commissioning import Entry, State, is_within
+from upright.vehicles.commissioning import Entry, State, is_within, steps_of
 from upright.vehicles.file import load
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(1500)]
@@ -36,8 +38,13 @@ PAUSED = "no complete IMU frame set"
 """The daemon's reason if such a machine paused for more than 200 ms."""
 
 
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+SHAKEN = ("--hide", "disturbance=8,0.3")
+HIDDEN = ("", "coulomb_friction", "viscous_friction", "input_delay")
+
+
+@contextmanager
+def commissioned(folder: Path, *simulate: str) -> Iterator[Rig]:
+    """A virtual MONOCAB on SocketCAN, whose experiments are SHORTER."""
     vehicle = load("monocab")
     values, deviations = vehicle.parameters.values, vehicle.parameters.deviations
     online_estimators("monocab", values, deviations, vehicle.support).join()
@@ -46,7 +53,13 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         text = re.sub(rf"(\[experiments\.{name}\][^\[]*?\nduration = )[\d.]+", rf"\g<1>{duration}", text, count=1)
     # The drives of the rig wait longer for their master, so that the silence has to be longer, too.
     text = text.replace("width = 0.5  ", "width = 1.2  ")
-    with shared.rig(tmp_path_factory.mktemp("commission"), text) as made:
+    with shared.rig(folder, text, *simulate) as made:
+        yield made
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    with commissioned(tmp_path) as made:
         yield made
 
 
@@ -99,3 +112,23 @@ def test_the_whole_way_ends_with_a_controller_that_holds_a_person(rig: Rig) -> N
     # The loop as recorded was reconstructed and simulated. How close the two are, benchmarks/commissioning.py measures
     # where a control cycle takes as long as on a vehicle.
     assert number(entries["prediction"], "loop_error") > 0.0
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_a_shaken_vehicle_is_commissioned_and_what_it_hides_is_found(hidden: str, tmp_path: Path) -> None:
+    """Shaken by 8 N m RMS, with a hidden effect that the model file of the commissioning has in the end."""
+    with commissioned(tmp_path, *SHAKEN, *(("--hide", hidden) if hidden else ())) as rig:
+        entries = carried_out(rig, "response")
+    last = list(entries.values())[-1]
+    assert last.step == "response", (last.step, last.reason)
+    assert "The commissioning is complete" in (rig.data / "commissioning" / "report.html").read_text()
+    model = entries["effects"].model
+    names = [each.name for each in load_model(rig.data / "commissioning" / model).effects] if model else []
+    assert names == ([hidden] if hidden else []), entries["effects"].text
+    assert number(entries["disturbance"], "final_precession") == pytest.approx(0.0, abs=2.0)
+    (response,) = (each for each in steps_of("monocab").step if each.id == "response")
+    measured = [each for each in response.acceptance if each.quantity in ("gain_off", "phase_off")]
+    assert len(measured) == 2
+    for each in measured:
+        assert is_within(each, entries["response"].numbers), (each.quantity, entries["response"].text)
