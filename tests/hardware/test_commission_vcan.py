@@ -7,6 +7,7 @@ milliseconds several times a second.
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,12 +77,14 @@ def carried_out(rig: Rig, last: str) -> dict[str, Entry]:
     guide.begin()
     found: dict[str, Entry] = {}
     while last not in found and (step := guide.steps.next(guide.record())) is not None:
+        began = time.monotonic()
         entry = found[step.id] = guide.carry_out(step.id)
         for _ in range(3):
             if entry.state is State.FAILED and PAUSED in entry.reason:
                 rig.ask("reset")
                 rig.until_ready()
                 entry = found[step.id] = guide.carry_out(step.id)
+        print(f"{step.id}: {entry.state.value} after {time.monotonic() - began:.0f} s {entry.reason}", flush=True)
         if entry.state is State.FAILED:
             return found
         if entry.state is State.NOT_ACCEPTED:
