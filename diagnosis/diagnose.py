@@ -34,9 +34,9 @@ from upright.diagnosis.verdict import unidentified, untried, verdict
 from upright.estimators.budget import Budget
 from upright.estimators.data.segments import DataError, after_settling
 from upright.estimators.data.time_scale import time_scale
-from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.random.disturbance import disturbances
+from upright.estimators.fit.random.sensor_errors import sensor_errors
 from upright.estimators.fit.released import released
-from upright.estimators.fit.sensor_errors import sensor_errors
 from upright.models.effect import Effect
 from upright.models.model import Model
 from upright.telemetry.recording import Recording

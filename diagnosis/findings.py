@@ -16,7 +16,7 @@ from upright.diagnosis.prediction.relevance import Relevance
 from upright.diagnosis.score.score_test import ScoreTest
 from upright.estimators.contract import ParameterEstimate
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
-from upright.estimators.fit.sensor_errors import InputError, SensorError
+from upright.estimators.fit.random.sensor_errors import InputError, SensorError
 from upright.models.effect import Effect
 from upright.models.model import Model
 

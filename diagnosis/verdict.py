@@ -13,7 +13,7 @@ from upright.diagnosis.prepare.workspace import Workspace
 from upright.diagnosis.search.search import Found
 from upright.estimators.contract import ParameterEstimate, Status
 from upright.estimators.disturbance_estimate import in_words
-from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.random.disturbance import disturbances
 from upright.estimators.methods.prediction_error import result
 
 

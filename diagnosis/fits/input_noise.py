@@ -2,8 +2,8 @@
 
 A model is driven by an input's reading, noise included, as if the noise acted. If it does not act, it leaves a force
 that is correlated with the reading. The noise of the reading is estimated from the readings alone
-(estimators.fit.input_noise); whether a force proportional to that noise explains the remaining innovations is a test of
-one number at each joint.
+(estimators.fit.random.input_noise); whether a force proportional to that noise explains the remaining innovations is a
+test of one number at each joint.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from upright.diagnosis.lack_of_fit.floor import Innovations, floor
 from upright.diagnosis.lack_of_fit.force_probe import probe
 from upright.diagnosis.lack_of_fit.shapes import Design
 from upright.diagnosis.score.whitened import Whitened
-from upright.estimators.fit.input_noise import input_noise, rough
 from upright.estimators.fit.maximum_likelihood import Fit
+from upright.estimators.fit.random.input_noise import input_noise, rough
 from upright.models.random.input_noise import InputNoise, noisy_inputs
 
 

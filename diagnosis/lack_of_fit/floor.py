@@ -23,11 +23,11 @@ from upright.diagnosis.lack_of_fit.process_noise import density, shown_shares
 from upright.diagnosis.lack_of_fit.reach import power_beyond, reach
 from upright.estimators.contract import EstimationError
 from upright.estimators.data.white_noise import white_variance
-from upright.estimators.fit.disturbance import stated
 from upright.estimators.fit.gauss_newton import Block, minimise
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.maximum_likelihood import Fit
 from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.random.disturbance import stated
 from upright.estimators.fit.stationary import stationary
 from upright.estimators.tails import chi2_isf
 from upright.models.parts import State

@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 
 from upright.diagnosis.lack_of_fit.floor import floor, sensor_noise
 from upright.estimators.data.time_scale import time_scale
-from upright.estimators.fit.disturbance import densities
 from upright.estimators.fit.gauss_newton import Block, Minimum, minimise
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.maximum_likelihood import ENOUGH, Fit
 from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.random.disturbance import densities
 from upright.estimators.fit.stationary import stationary
 from upright.models.compiler.kernel import Memory
 from upright.models.segment import Segment

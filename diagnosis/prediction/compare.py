@@ -24,9 +24,9 @@ from upright.diagnosis.trial import FAILURES
 from upright.estimators.data.segments import channels_of, segments
 from upright.estimators.data.time_scale import horizon
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
-from upright.estimators.fit.disturbance import disturbances, is_of_disturbance
 from upright.estimators.fit.maximum_likelihood import Fit, fit
 from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.fit.random.disturbance import disturbances, is_of_disturbance
 from upright.models.compiler.kernel import Progress
 from upright.models.model import Model
 from upright.models.segment import Segment

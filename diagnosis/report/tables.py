@@ -13,7 +13,7 @@ from upright.diagnosis.prediction.relevance import percent
 from upright.diagnosis.report.names import shown
 from upright.diagnosis.report.sentences import two_digits
 from upright.diagnosis.score.score_test import Score, ScoreTest
-from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.random.disturbance import disturbances
 from upright.estimators.methods.prediction_error import result
 from upright.estimators.numbers import Scale, about, common, with_error
 from upright.telemetry.recording import Recording

@@ -36,9 +36,9 @@ from upright.diagnosis.score.whitened import Whitened
 from upright.diagnosis.search.explanation import Progress, no_progress
 from upright.diagnosis.side_by_side import side_by_side
 from upright.diagnosis.trial import tried
-from upright.estimators.fit.disturbance import disturbances, is_of_disturbance
 from upright.estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
 from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.random.disturbance import disturbances, is_of_disturbance
 from upright.models.effect import Effect
 from upright.models.parts import Place
 from upright.models.random.disturbance import with_zero_disturbances

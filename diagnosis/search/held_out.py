@@ -32,12 +32,12 @@ from upright.diagnosis.trial import FAILURES
 from upright.estimators.contract import Status
 from upright.estimators.data.segments import segments
 from upright.estimators.data.time_scale import horizon, time_scale
-from upright.estimators.fit.disturbance import SHOWN
 from upright.estimators.fit.gauss_newton import Block, eliminate
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.likelihood import Likelihood, Seen
 from upright.estimators.fit.maximum_likelihood import Fit
 from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.fit.random.disturbance import SHOWN
 from upright.estimators.fit.result import inverse
 from upright.estimators.methods.prediction_error import result
 from upright.models.effect import AttachedEffect, Role

@@ -38,9 +38,9 @@ from upright.diagnosis.search.further import left_for
 from upright.diagnosis.search.held_out import held_out
 from upright.diagnosis.trial import tried
 from upright.estimators.contract import ParameterEstimate, Status
-from upright.estimators.fit.disturbance import is_of_disturbance
 from upright.estimators.fit.innovations import WIDEST
 from upright.estimators.fit.maximum_likelihood import Begin, noise_of
+from upright.estimators.fit.random.disturbance import is_of_disturbance
 from upright.estimators.fit.result import inverse
 from upright.estimators.methods.prediction_error import result
 

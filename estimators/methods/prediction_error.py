@@ -16,9 +16,9 @@ from upright.estimators.contract import Estimate, EstimationError
 from upright.estimators.data.as_recorded import as_recorded
 from upright.estimators.data.segments import DataError
 from upright.estimators.data.time_scale import horizon
-from upright.estimators.fit.disturbance import disturbances, is_of_disturbance
 from upright.estimators.fit.maximum_likelihood import Fit, fit
 from upright.estimators.fit.problem import problem
+from upright.estimators.fit.random.disturbance import disturbances, is_of_disturbance
 from upright.estimators.fit.released import released
 from upright.estimators.fit.result import assemble, inverse, refused, with_known
 from upright.estimators.stopwatch import stopwatch

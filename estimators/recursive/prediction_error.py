@@ -22,9 +22,9 @@ import numpy as np
 
 from upright.estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
-from upright.estimators.fit.disturbance import is_of_disturbance
 from upright.estimators.fit.logarithms import is_known_roughly
 from upright.estimators.fit.problem import Problem, jacobian, substeps_of, usual_motion
+from upright.estimators.fit.random.disturbance import is_of_disturbance
 from upright.estimators.recursive.frame_chunks import FrameChunks
 from upright.estimators.recursive.predictor import RecursivePredictor, Seen
 from upright.models import library

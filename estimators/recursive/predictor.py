@@ -33,12 +33,12 @@ from numpy.typing import NDArray
 
 from upright.estimators.contract import Estimate
 from upright.estimators.disturbance_estimate import DisturbanceEstimate
-from upright.estimators.fit.disturbance import Found, is_of_disturbance, of_joints
 from upright.estimators.fit.gauss_newton import Minimum
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.likelihood import FLOOR
 from upright.estimators.fit.logarithms import is_known_roughly
 from upright.estimators.fit.problem import Problem
+from upright.estimators.fit.random.disturbance import Found, is_of_disturbance, of_joints
 from upright.estimators.fit.result import assemble
 from upright.estimators.fit.stationary_start import stationary_spread
 from upright.estimators.recursive.frame_chunks import Chunk, join

@@ -112,7 +112,7 @@ def methods(estimates: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _disturbance(joint: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """The random disturbance at `joint`, as estimated by estimators.fit.disturbance, as parameters."""
+    """The random disturbance at `joint`, as estimated by estimators.fit.random.disturbance, as parameters."""
     shown, unit = found["shown"], found["unit"]
     reason = "" if shown else f"no disturbance shows: less than {found['rms']:.2g} {unit} RMS"
     common = {

@@ -26,9 +26,9 @@ from upright.diagnosis.search.explanation import NOTHING_SCORED, Explanation, Se
 from upright.diagnosis.search.search import Found
 from upright.estimators.budget import OutOfTime
 from upright.estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
-from upright.estimators.fit.disturbance import disturbances
 from upright.estimators.fit.maximum_likelihood import fit
 from upright.estimators.fit.problem import problem
+from upright.estimators.fit.random.disturbance import disturbances
 from upright.estimators.identify.run import with_values
 from upright.estimators.methods.prediction_error import prediction_error
 from upright.models.file.model_file import parse, read

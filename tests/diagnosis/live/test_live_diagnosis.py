@@ -18,7 +18,7 @@ from upright.diagnosis.live.live import LiveDiagnosis
 from upright.diagnosis.live.naming import Gathered, LiveFinding, LiveResult
 from upright.diagnosis.prepare.candidates import candidates_for
 from upright.diagnosis.prepare.workspace import attached
-from upright.estimators.fit.disturbance import is_of_disturbance
+from upright.estimators.fit.random.disturbance import is_of_disturbance
 from upright.estimators.identify.run import with_values
 from upright.estimators.methods.prediction_error import prediction_error
 from upright.estimators.recursive.prediction_error import RecursivePredictionError

@@ -16,11 +16,11 @@ from upright.diagnosis.report.sentences import disturbance_sentences
 from upright.estimators.data.quantised import step_of
 from upright.estimators.data.resting import without_rests
 from upright.estimators.fit import innovations
-from upright.estimators.fit.input_noise import input_noise
 from upright.estimators.fit.likelihood import Likelihood
 from upright.estimators.fit.maximum_likelihood import fit
 from upright.estimators.fit.problem import Problem, problem, typical_motion
-from upright.estimators.fit.sensor_errors import InputError
+from upright.estimators.fit.random.input_noise import input_noise
+from upright.estimators.fit.random.sensor_errors import InputError
 from upright.models.file.model_file import load_model
 from upright.models.random.input_noise import noisy_inputs
 from upright.telemetry.recording import Recording

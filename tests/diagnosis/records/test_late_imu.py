@@ -13,9 +13,9 @@ from upright.diagnosis.findings import Verdict
 from upright.diagnosis.parts import diagnose_parts
 from upright.diagnosis.prediction.compare import compare
 from upright.diagnosis.prepare.ready import ready
-from upright.estimators.fit.disturbance import disturbances
 from upright.estimators.fit.maximum_likelihood import fit
 from upright.estimators.fit.problem import problem
+from upright.estimators.fit.random.disturbance import disturbances
 from upright.estimators.fit.released import released
 from upright.estimators.identify.run import with_values
 from upright.estimators.methods.prediction_error import prediction_error

@@ -17,11 +17,11 @@ from upright.diagnosis.lack_of_fit.events import LEVEL, _best, _by_chance
 from upright.diagnosis.prediction.compare import compare
 from upright.diagnosis.prepare.ready import ready, unready
 from upright.estimators.budget import Budget, OutOfTime
-from upright.estimators.fit.disturbance import disturbances
 from upright.estimators.fit.innovations import NoiseModel
 from upright.estimators.fit.likelihood import Likelihood
 from upright.estimators.fit.maximum_likelihood import MUCH, Begin, Fit, fit, noise_of
 from upright.estimators.fit.problem import Problem, problem
+from upright.estimators.fit.random.disturbance import disturbances
 from upright.estimators.identify.run import with_values
 from upright.estimators.methods.prediction_error import prediction_error
 from upright.estimators.numbers import with_error

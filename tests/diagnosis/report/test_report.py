@@ -33,7 +33,7 @@ from upright.diagnosis.report.names import shown
 from upright.diagnosis.report.tables import HARD_SPACE, detectables, p_text
 from upright.diagnosis.report.words import gist, headline
 from upright.estimators.disturbance_estimate import rms
-from upright.estimators.fit.disturbance import disturbances
+from upright.estimators.fit.random.disturbance import disturbances
 from upright.estimators.numbers import with_error
 
 

@@ -29,7 +29,7 @@ from upright.telemetry.recording import Recording
 from upright.telemetry.storage import save
 from upright.vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
-EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "estimate_robot.py"))
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "estimate_robot.py"))
 MODEL = get("twsbr")
 PLANT = TwsbrTruth()
 TRUTH = PLANT.table_1

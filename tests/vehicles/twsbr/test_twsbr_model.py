@@ -395,7 +395,7 @@ def test_kernel_sensitivities_match_central_differences(kernel: Kernel) -> None:
 
 def test_model_library_imports_without_sympy_numba_or_scipy() -> None:
     code = "import sys, upright.models.library; assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2], timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[3], timeout=60)
 
 
 def test_paper_values_are_within_the_bounds_and_model_channels_are_recorded() -> None:

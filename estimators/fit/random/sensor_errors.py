@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from upright.estimators.disturbance_estimate import NarrowBandEstimate
-from upright.estimators.fit.disturbance import Found
-from upright.estimators.fit.input_noise import input_noise
+from upright.estimators.fit.random.disturbance import Found
+from upright.estimators.fit.random.input_noise import input_noise
 from upright.estimators.numbers import with_error
 from upright.models.random.input_noise import SHARE, noisy_inputs
 from upright.models.random.sensor_error import at_outputs

@@ -33,14 +33,14 @@ from upright.vehicles.file import load
 from upright.vehicles.monocab.identification.own import OWN
 from upright.vehicles.registry import UnknownKindError, nominal_model
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 EXAMPLE = runpy.run_path(str(EXAMPLES / "compare_methods.py"))
 VEHICLE = load("monocab")
 KNOWN, SUPPORT = VEHICLE.parameters, VEHICLE.support
 TRUTH = {**EXAMPLE["TRUTH"], "static_torque.torque": 120.0}
 STEP, SWEEP = Experiment("step", "rest"), Experiment("sweep", "roll_reference")
 COMPARED = [name for name in METHODS if name != "output_error_simplex"]
-"""The simplex finds the same values as the trust region (tests/estimators/test_fits.py) in ten times the time."""
+"""The simplex finds the same values as the trust region (tests/estimators/fit/test_fits.py) in ten times the time."""
 QUICK = ("least_squares", "frequency_output_error", "recursive_least_squares")
 
 

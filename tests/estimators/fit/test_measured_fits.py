@@ -13,7 +13,7 @@ from upright.estimators.contract import Estimate
 from upright.estimators.fit.problem import problem
 from upright.estimators.identify.validation import Validation, validate
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 EMPS = runpy.run_path(str(EXAMPLES / "emps.py"))
 DISK = runpy.run_path(str(EXAMPLES / "unbalanced_disk.py"))
 DRONE = runpy.run_path(str(EXAMPLES / "quarter_drone.py"))
