@@ -33,7 +33,7 @@ from scipy.stats import t as student
 from turnaround import answered, listening, running
 
 from upright.drivers.bus.bus import BusError
-from upright.drivers.cia402.nmt import HEARTBEAT_COB_ID
+from upright.drivers.cia301.nmt import HEARTBEAT_COB_ID
 from upright.vehicles.file import load
 
 EXPERIMENTS = ("doublet", "step", "multisine", "hold", "square")

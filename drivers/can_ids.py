@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from upright.drivers.cia301.nmt import COMMAND_COB_ID, EMERGENCY_COB_ID, HEARTBEAT_COB_ID
 from upright.drivers.cia402 import pdo
-from upright.drivers.cia402.nmt import COMMAND_COB_ID, EMERGENCY_COB_ID, HEARTBEAT_COB_ID
 from upright.drivers.imu.layout import CANOPEN_SPACING, VALUES_PER_FRAME
 
 SYNC_COB_ID = 0x080

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from upright.drivers.cia301.nmt import COMMAND_COB_ID, HEARTBEAT_COB_ID, NmtCommand
 from upright.drivers.cia402.drive import Drive
-from upright.drivers.cia402.nmt import COMMAND_COB_ID, HEARTBEAT_COB_ID, NmtCommand
 from upright.telemetry.samples import CanFrame
 
 SYNC_COB_ID = 0x080

@@ -1,1 +1,1 @@
-"""CiA 402 servo inverters over CANopen: state machine, PDO codecs and emergencies (pure), set-up over SDO."""
+"""CiA 402 servo inverters: state machine, modes and PDO codecs (pure), set-up over SDO."""

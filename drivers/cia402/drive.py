@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from upright.drivers.cia402 import emergency as emcy
-from upright.drivers.cia402 import nmt, states
+from upright.drivers.cia301 import emergency as emcy
+from upright.drivers.cia301 import nmt
+from upright.drivers.cia301.emergency import Emergency
+from upright.drivers.cia301.nmt import NmtState
+from upright.drivers.cia402 import states
 from upright.drivers.cia402.config import DriveConfig
-from upright.drivers.cia402.emergency import Emergency
 from upright.drivers.cia402.modes import FINE_UNITS_PER_RPM
-from upright.drivers.cia402.nmt import NmtState
 from upright.drivers.cia402.pdo import PdoCodec
 from upright.drivers.cia402.states import FaultReset, FaultResetOutcome, State
 from upright.telemetry.samples import CanFrame

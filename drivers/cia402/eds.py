@@ -15,8 +15,8 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.eds import import_eds
 
+from upright.drivers.cia301.eds_text import DATA_TYPES, UNKNOWN_TYPE, DataSheet, NoDataSheet
 from upright.drivers.cia402.config import DriveConfig, find_eds
-from upright.drivers.cia402.eds_text import DATA_TYPES, UNKNOWN_TYPE, DataSheet, NoDataSheet
 from upright.drivers.cia402.objects import CONTROLWORD, MODE, STATUSWORD, ObjectEntry
 from upright.drivers.cia402.sdo import DriveSetupError, MissingObject, SdoDialogue
 

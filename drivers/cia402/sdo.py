@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import canopen
 
+from upright.drivers.cia301.sdo_client import WALL, Clock, PatientClient
 from upright.drivers.cia402.config import DriveConfig
 from upright.drivers.cia402.objects import ObjectEntry
-from upright.drivers.cia402.sdo_client import WALL, Clock, PatientClient
 from upright.telemetry.errors import UprightError
 
 T = TypeVar("T")

@@ -13,13 +13,14 @@ from pathlib import Path
 
 import canopen
 
-from upright.drivers.cia402 import eds, emergency, modes, nmt, states
+from upright.drivers.cia301 import emergency, nmt
+from upright.drivers.cia301.nmt import NmtCommand
+from upright.drivers.cia301.sdo_client import WALL, Clock
+from upright.drivers.cia402 import eds, modes, states
 from upright.drivers.cia402 import objects as od
 from upright.drivers.cia402.config import DriveConfig
-from upright.drivers.cia402.nmt import NmtCommand
 from upright.drivers.cia402.pdo_setup import configure_pdos
 from upright.drivers.cia402.sdo import DriveSetupError, MissingNode, Refused, SdoDialogue, milliseconds
-from upright.drivers.cia402.sdo_client import WALL, Clock
 from upright.drivers.cia402.states import State
 
 POLL_PERIOD = 0.02

@@ -18,8 +18,8 @@ from upright.drivers.bus.bus import Bus, BusDown, BusError, BusGroup
 from upright.drivers.bus.lock import BusLock, lock_buses
 from upright.drivers.bus.socketcan import start_clock
 from upright.drivers.canopen_link import CanopenLink
+from upright.drivers.cia301.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.config import DriveConfig
-from upright.drivers.cia402.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.imu.format import check_format
 from upright.service.control import assembly, realtime

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from upright.drivers.cia402.nmt import NmtCommand, command_frame
+from upright.drivers.cia301.nmt import NmtCommand, command_frame
 from upright.service.control import assembly
 from upright.service.control.cycle.loop import ControlLoop, Mode
 from upright.service.control.notify import Notifier

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upright.drivers.cia402 import emergency, nmt, states
+from upright.drivers.cia301 import emergency, nmt
+from upright.drivers.cia301.nmt import NmtCommand, NmtState
+from upright.drivers.cia402 import states
 from upright.drivers.cia402.config import DriveConfig, DriveConfigError, find_eds
 from upright.drivers.cia402.drive import Drive
-from upright.drivers.cia402.nmt import NmtCommand, NmtState
 from upright.drivers.cia402.states import FaultReset, FaultResetOutcome, State, classify, controlword_towards
 from upright.telemetry.samples import CanFrame
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import canopen
 import pytest
 
+from upright.drivers.cia301.nmt import NmtState
 from upright.drivers.cia402 import objects, pdo, states
 from upright.drivers.cia402.config import DriveConfig
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.cia402.eds import load
-from upright.drivers.cia402.nmt import NmtState
 from upright.drivers.cia402.objects import ObjectEntry
 from upright.drivers.cia402.sdo import SdoDialogue
 from upright.drivers.cia402.states import State

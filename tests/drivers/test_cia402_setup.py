@@ -16,10 +16,10 @@ import canopen
 import pytest
 from canopen.objectdictionary.datatypes import INTEGER32
 
+from upright.drivers.cia301.sdo_client import ATTEMPTS
 from upright.drivers.cia402.config import DriveConfig, DriveConfigError, find_eds
 from upright.drivers.cia402.eds import EdsError
 from upright.drivers.cia402.sdo import DriveSetupError, MissingNode
-from upright.drivers.cia402.sdo_client import ATTEMPTS
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.cia402.states import State
 

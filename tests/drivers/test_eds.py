@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
+from upright.drivers.cia301.eds_text import number_of
 from upright.drivers.cia402 import eds
 from upright.drivers.cia402.config import SHIPPED_EDS, DriveConfig
 from upright.drivers.cia402.eds import EdsError
-from upright.drivers.cia402.eds_text import number_of
 
 TEXT = (SHIPPED_EDS / "upright_servo.eds").read_text()
 DRIVE = DriveConfig(

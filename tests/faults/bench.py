@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import canopen
 
-from upright.drivers.cia402.nmt import NmtCommand, command_frame
+from upright.drivers.cia301.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.vehicle_io import VehicleIo
 from upright.service.control import assembly

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from upright.drivers.bus.error_frames import decode
-from upright.drivers.cia402.nmt import HEARTBEAT_COB_ID
+from upright.drivers.cia301.nmt import HEARTBEAT_COB_ID
 from upright.drivers.vehicle_io import LARGEST, VehicleIo
 from upright.estimators.checks.loss_test import THRESHOLD, LossTest
 from upright.telemetry.samples import CanFrame

@@ -19,9 +19,9 @@ from itertools import compress
 from typing import Any, Protocol
 
 from upright.drivers.bus.bus import BusDown
+from upright.drivers.cia301.emergency import of_communication
+from upright.drivers.cia301.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.drive import Drive
-from upright.drivers.cia402.emergency import of_communication
-from upright.drivers.cia402.nmt import NmtCommand, command_frame
 from upright.drivers.foreign import REMEDY, ForeignTraffic
 from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.checks.imu_consistency import ImuConsistency

@@ -36,7 +36,7 @@ from math import inf, isfinite
 from operator import attrgetter
 from typing import Any
 
-from upright.drivers.cia402.emergency import of_communication
+from upright.drivers.cia301.emergency import of_communication
 from upright.drivers.imu.imu import ImuHealth
 from upright.estimators.checks.axis_consistency import AxisConsistency
 from upright.estimators.checks.loss_test import THRESHOLD, LossTest

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
+from upright.drivers.cia301.nmt import NmtState
 from upright.drivers.cia402.drive import Drive
-from upright.drivers.cia402.nmt import NmtState
 from upright.drivers.cia402.states import State
 
 CYCLES = 5

@@ -1,0 +1,1 @@
+"""CANopen, whatever the node is: network management, emergencies, SDO client (CiA 301), EDS texts (CiA 306)."""
