@@ -56,6 +56,9 @@ def table_of_frame(frame: Any, units: Mapping[str, str], metadata: Mapping[str, 
 
 def _columns(frame: Any, source: str) -> dict[str, Any]:
     """The columns by name; an index of dates or durations, or one that is called `time`, is the time if no other is."""
+    if hasattr(frame, "collect_schema") and not hasattr(frame, "__len__"):
+        remedy = "Give frame.collect() instead of frame."
+        raise RecordingError(source, "", f"is a {type(frame).__name__}, which has no values yet", remedy=remedy)
     fields = getattr(getattr(frame, "dtype", None), "names", None)
     columns: Any = getattr(frame, "columns", frame if isinstance(frame, Mapping) else ())
     names = list(columns if fields is None else fields)

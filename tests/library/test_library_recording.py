@@ -15,6 +15,7 @@ from golden import FOLDER
 import upright
 
 pandas = pytest.importorskip("pandas")
+polars = pytest.importorskip("polars")
 GOLDEN = FOLDER / "monocab-multisine-seed1-10s.parquet"
 
 
@@ -138,6 +139,7 @@ def test_a_mapping_of_arrays_becomes_a_recording() -> None:
 STAMPS = np.arange(20) / 100.0
 ANGLES = np.sin(STAMPS)
 DATES = pandas.Timestamp("2024-03-01 12:00") + pandas.to_timedelta(STAMPS, unit="s")
+POLARS = polars.DataFrame({"time": list(DATES.to_pydatetime()), "angle": ANGLES})
 
 
 def with_time(place: int, value: float) -> np.ndarray:
@@ -184,11 +186,13 @@ class TestFrame:
             pandas.array(np.where(np.arange(20) == 3, np.nan, ANGLES), dtype="Float64"),
             [None if row == 3 else each for row, each in enumerate(ANGLES)],
             [pandas.NA if row == 3 else each for row, each in enumerate(ANGLES)],
+            polars.Series([None if row == 3 else each for row, each in enumerate(ANGLES)]),
         ],
-        ids=["infinite", "masked", "nullable", "None", "NA"],
+        ids=["infinite", "masked", "nullable", "None", "NA", "polars"],
     )
     def test_values_that_are_not_known_are_nan(self, angle: object) -> None:
-        found = upright.Recording.from_frame(pandas.DataFrame({"time": STAMPS, "angle": angle}))
+        table = polars.DataFrame if isinstance(angle, polars.Series) else pandas.DataFrame
+        found = upright.Recording.from_frame(table({"time": STAMPS, "angle": angle}))
         np.testing.assert_array_equal(found["angle"], np.where(np.arange(20) == 3, np.nan, ANGLES))
 
     @pytest.mark.parametrize(
@@ -204,8 +208,27 @@ class TestFrame:
             pandas.DataFrame({"angle": ANGLES}, index=DATES - DATES[0]),
             pandas.DataFrame({"angle": ANGLES}, index=pandas.Index(STAMPS, name="time")),
             np.array(list(zip(STAMPS, ANGLES, strict=True)), dtype=[("time", float), ("angle", float)]),
+            POLARS,
+            POLARS.with_columns(polars.col("time").cast(polars.String)),
+            POLARS.with_columns(polars.col("time") - polars.col("time").first()),
+            POLARS.with_columns(polars.col("time").dt.replace_time_zone("Europe/Berlin")),
         ],
-        ids=["dates", "zone", "texts", "durations", "ms", "datetime", "index", "since", "named", "fields"],
+        ids=[
+            "dates",
+            "zone",
+            "texts",
+            "durations",
+            "ms",
+            "datetime",
+            "index",
+            "since",
+            "named",
+            "fields",
+            "polars",
+            "polars-texts",
+            "polars-durations",
+            "polars-zone",
+        ],
     )
     def test_dates_durations_and_an_index_are_times(self, frame: object) -> None:
         found = upright.Recording.from_frame(frame)
@@ -233,6 +256,7 @@ class TestFrame:
             ({}, {}, "time: is missing; there are no columns"),
             (np.zeros((3, 2)), {}, "is no table, but of type ndarray.*a mapping of names to arrays"),
             (None, {}, "is no table, but of type NoneType"),
+            (POLARS.lazy(), {}, r"is a LazyFrame, which has no values yet.*Give frame.collect\(\)"),
         ],
     )
     def test_what_cannot_be_used_is_refused_with_the_remedy(
