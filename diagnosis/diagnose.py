@@ -19,6 +19,7 @@ from upright.diagnosis.findings import Verdict as Verdict
 from upright.diagnosis.fits.refit import FullFit, settled
 from upright.diagnosis.lack_of_fit.adequacy import adequacy
 from upright.diagnosis.lack_of_fit.events import Event, events, pieces
+from upright.diagnosis.lack_of_fit.stated_values import contradictions
 from upright.diagnosis.prediction.closed_loop_error import Loop
 from upright.diagnosis.prediction.limit import prediction_limit
 from upright.diagnosis.prediction.relevance import relevances
@@ -50,9 +51,10 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """The arguments of `diagnose` other than the recordings."""
+    """The arguments of `diagnose` other than the recordings. `stated`: the parameters of the model as it was given."""
 
     model: Model
+    stated: frozenset[str]
     support: float | None
     candidates: tuple[str | Effect, ...] | None
     most: int
@@ -93,7 +95,8 @@ def diagnose(
     report("reading the data", 0.0)
     known, model = model, ready(model, recordings)
     chosen = None if candidates is None else tuple(candidates)
-    request = _Request(model, support, chosen, most, confounded, not_required, bound, loops)
+    stated = frozenset(each.name for each in known.base_parameters)
+    request = _Request(model, stated, support, chosen, most, confounded, not_required, bound, loops)
     found, happened = _answer(request, recordings, partial(part_of, report, 0.0, ONCE))
     if happened and bound.left:
         report("excluding single events", ONCE)
@@ -139,7 +142,7 @@ def _answer(
     loops = [_begun_at(loop, *both) for loop, *both in zip(request.loops, given, recordings, strict=False)]
     found = replace(found, findings=_by_relevance(found, workspace.owners, loops))
     concluded = verdict(found, rest, workspace)
-    shown = concluded.steps[-1].fit
+    shown, explained = concluded.steps[-1].fit, concluded.verdict in (Verdict.ADEQUATE, Verdict.MISSING_EFFECT)
     concluded = replace(
         concluded,
         disturbance=disturbances(shown),
@@ -147,6 +150,7 @@ def _answer(
         prediction_limit=prediction_limit(shown),
         untried=untried(workspace, found.findings),
         rounds=tuple(workspace.rounds),
+        contradicted=contradictions(found.base, concluded.steps[-1], request.stated, workspace) if explained else (),
     )
     return concluded, events(last.fit)
 

@@ -11,6 +11,7 @@ from upright.diagnosis.fits.refit import FullFit
 from upright.diagnosis.gates import HeldOut, Round
 from upright.diagnosis.lack_of_fit.adequacy import Adequacy
 from upright.diagnosis.lack_of_fit.events import Event
+from upright.diagnosis.lack_of_fit.stated_values import Contradiction
 from upright.diagnosis.prediction.limit import PredictionLimit
 from upright.diagnosis.prediction.relevance import Relevance
 from upright.diagnosis.score.score_test import ScoreTest
@@ -127,7 +128,7 @@ class Diagnosis:
     `events`: times at which the disturbance changes, excluded from all else. `sensor_errors`: errors of sensors other
     than the white noise of outputs. `untried`: what was left for lack of time. `parts`: the diagnoses of a vehicle and
     of its actuators that this one combines (diagnosis.parts), none if it is of one model. `rounds`: what was decided
-    about each effect that was fitted.
+    about each effect that was fitted. `contradicted`: values that the model states and that the recordings contradict.
     """
 
     verdict: Verdict
@@ -149,6 +150,7 @@ class Diagnosis:
     events: tuple[Event, ...] = ()
     parts: tuple[Diagnosis, ...] = ()
     rounds: tuple[Round, ...] = ()
+    contradicted: tuple[Contradiction, ...] = ()
 
     @property
     def adequate(self) -> bool:
@@ -167,6 +169,7 @@ class Diagnosis:
             "innovation_ratio_after": self.innovation_ratio_after,
             "disturbance": {each.joint: each.to_json() for each in self.disturbance},
             "sensor_errors": {each.channel: each.to_json() for each in self.sensor_errors},
+            "contradicted": [each.to_json() for each in self.contradicted],
             "untried": list(self.untried),
             "events": [each.to_json() for each in self.events],
             "prediction_limit": self.prediction_limit.to_json() if self.prediction_limit else None,

@@ -16,7 +16,7 @@ from upright.diagnosis.prediction.compare import Comparison, compare
 from upright.diagnosis.report import tables
 from upright.diagnosis.report.names import file_name
 from upright.diagnosis.report.page import Figures, Provenance, compared_figures, render
-from upright.diagnosis.report.sentences import disturbance_sentences, untried_sentence
+from upright.diagnosis.report.sentences import contradiction_sentences, disturbance_sentences, untried_sentence
 from upright.diagnosis.report.words import headline
 from upright.estimators.contract import EstimationError
 from upright.models.model import Model
@@ -59,6 +59,7 @@ def write_report(
         rankings=tables.rankings(diagnosis),
         disturbance=disturbance_sentences(diagnosis),
         untried=untried_sentence(diagnosis, seconds),
+        contradicted=contradiction_sentences(diagnosis),
         relevances=tables.relevances(diagnosis),
         horizon=tables.horizon(diagnosis),
         parameters=tables.parameters(diagnosis),

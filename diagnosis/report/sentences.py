@@ -41,6 +41,19 @@ def disturbance_sentences(diagnosis: Diagnosis) -> str:
     return " ".join(filter(None, (_shaking(diagnosis), _erring(diagnosis))))
 
 
+def contradiction_sentences(diagnosis: Diagnosis) -> str:
+    """The stated values that the recordings contradict, of all parts, and the question that follows; empty if there are
+    none."""
+    found = [each for part in (*diagnosis.parts, diagnosis) for each in part.contradicted]
+    if not found:
+        return ""
+    values = "; ".join(map(str, found))
+    effects = " and ".join(dict.fromkeys(name for each in found for name in each.instead_of))
+    if not effects:
+        return f"The recordings contradict what the model states: {values}. Check what is stated, and its ±."
+    return f"Is right what the model states? The recordings need {effects} only if it is. Without: {values}."
+
+
 def _erring(diagnosis: Diagnosis) -> str:
     """The random errors of the sensors, of all parts."""
     errors = {each.channel: each for part in (*diagnosis.parts, diagnosis) for each in part.sensor_errors}

@@ -10,7 +10,13 @@ from rich.padding import Padding
 from rich.table import Table
 
 from upright.diagnosis.diagnose import Diagnosis, Finding, Verdict
-from upright.diagnosis.report.sentences import disturbance_sentences, mattering, negligible, untried_sentence
+from upright.diagnosis.report.sentences import (
+    contradiction_sentences,
+    disturbance_sentences,
+    mattering,
+    negligible,
+    untried_sentence,
+)
 from upright.diagnosis.report.words import headline
 from upright.estimators.numbers import about
 from upright.service.output import page
@@ -33,6 +39,8 @@ def print_diagnosis(found: Diagnosis, seconds: float, to: Console = page) -> Non
         )
     if shaking := disturbance_sentences(found):
         to.print(escape(shaking))
+    if contradicted := contradiction_sentences(found):
+        to.print(f"[yellow]{escape(contradicted)}[/]")
     if left := untried_sentence(found, seconds):
         to.print(f"[yellow]{escape(left)}[/]")
     for number, finding in enumerate(matter, 1):
