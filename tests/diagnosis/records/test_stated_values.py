@@ -15,6 +15,7 @@ from test_own_machine import MANUAL, MISSING, diagnosed
 from upright.diagnosis.evidence import LEVEL
 from upright.diagnosis.lack_of_fit.stated_values import Contradiction, stated_wrong
 from upright.diagnosis.report.sentences import contradiction_sentences
+from upright.diagnosis.report.words import next_step
 from upright.models.parts import Parameter
 
 RIGHT = f"inertia 0.6 0.02, stiffness {STIFFNESS} 0.1, motor_constant 0.3 0.02"
@@ -65,7 +66,8 @@ def test_an_effect_that_only_wrong_values_need_is_a_question(tmp_path: Path) -> 
 
 def test_sentence_asks_which_of_the_two_it_is() -> None:
     wrong = Contradiction("inertia", "kg m^2", 0.5, 0.01, 0.62, 0.005, ("input_gain",))
-    asked: Any = SimpleNamespace(parts=(), contradicted=(wrong,))
+    asked: Any = SimpleNamespace(parts=(), contradicted=(wrong,), suggested_experiment=None, adequate=False)
+    assert next_step(asked).startswith("Correct what the model states")
     assert contradiction_sentences(asked) == (
         "Is right what the model states? The recordings need input_gain only if it is. Without: inertia is stated as"
         " 0.500 ± 0.010 kg m^2, and 0.6200 ± 0.0050 kg m^2 fits."
