@@ -259,8 +259,9 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
     counted = {each.name for each in model.outputs if each.counted}
     held = {each.name for each in model.inputs if each.hold is Hold.ZERO_ORDER or each.usual is not None}
     measured += [each.name for each in model.inputs if each.name in used and each.name not in held]
+    ages = {each.name: each.age for each in model.inputs} | {each.name: each.age for each in model.outputs}
     for name in measured:
-        values = recording[name][free]
+        values = recording[name][free & _fresh(recording, ages[name])]
         if name in {each.name for each in model.outputs} and np.ptp(values) == 0.0:
             remedy = "check the sensor and its scaling."
             raise DataError(Status.BAD_DATA, f"channel {name}", "never moves", remedy=remedy)
@@ -278,6 +279,15 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
     for angle, rate in pairs:
         if angle in recording.values and rate in recording.values:
             _check_pair(recording, angle, rate, free, OVER * _natural(model))
+
+
+def _fresh(recording: Recording, age: str) -> NDArray[np.bool_]:
+    """Mask (n,) of the samples at which a reading is new, by the channel of its `age`: an old one is older by the time
+    that has passed. A reading that is repeated, because no other came, is not clipped."""
+    new = np.ones(len(recording), dtype=bool)
+    if age in recording.values:
+        new[1:] = ~(np.diff(recording[age]) > 0.5 * np.diff(recording.time))
+    return new
 
 
 def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_], span: float) -> None:

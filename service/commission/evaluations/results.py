@@ -16,6 +16,9 @@ from upright.service.commission.evidence import Evidence, Found
 from upright.service.whole_file import write_whole
 from upright.vehicles.commissioning import CommissioningError, Number
 
+UNHURRIED = ("--budget", "300")
+"""s for a diagnosis: what it names decides about the controller, so that a slow computer takes longer, not less."""
+
 
 def identified(evidence: Evidence) -> Found:
     """Every method side by side on the recordings; the numbers are those of the recommended one, each parameter with
@@ -137,7 +140,7 @@ def diagnosed(evidence: Evidence) -> Found:
     """Which physical effects the model lacks; nothing is added."""
     page = evidence.at(".html")
     document = evidence.upright(
-        ["diagnose", *_recordings(evidence), *_begin(evidence), *_model(evidence), "--report", str(page)]
+        ["diagnose", *_recordings(evidence), *_begin(evidence), *_model(evidence), *UNHURRIED, "--report", str(page)]
     )
     return _diagnosis(evidence, document, [page])
 
@@ -146,7 +149,7 @@ def effects(evidence: Evidence) -> Found:
     """Adds the effects that the recordings show, one after the other, to the model of this commissioning."""
     page, model = evidence.at(".html"), evidence.at(".toml")
     document = evidence.upright(
-        ["diagnose", *_recordings(evidence), *_begin(evidence), "--auto", str(model), "--report", str(page)]
+        ["diagnose", *_recordings(evidence), *_begin(evidence), *UNHURRIED, "--auto", str(model), "--report", str(page)]
     )
     return _diagnosis(evidence, document, [page], model if model.is_file() else None)
 

@@ -197,6 +197,19 @@ def test_clipping_is_distinguished_from_standing_still() -> None:
     assert clipped_share(np.clip(swing, -0.8, 0.8)) == pytest.approx(2.0 * np.arccos(0.8) / np.pi, rel=0.05)
 
 
+def test_readings_that_are_repeated_since_none_came_are_not_clipped(model: Model, multisine: Recording) -> None:
+    """A drive that does not answer for ten cycles just before the gimbals are furthest out."""
+    precession, age = multisine["precession"].copy(), multisine["drive_age"].copy()
+    first = int(np.argmax(precession)) - 10
+    held = slice(first, first + 10)
+    precession[held] = 1.001 * precession.max()  # on the way out, and the largest by a little noise
+    silent = with_values(multisine, precession=precession)
+    with pytest.raises(DataError, match="precession: is clipped"):
+        segments(model, [silent])
+    age[held] += np.arange(10) / multisine.rate
+    assert segments(model, [with_values(silent, drive_age=age)])
+
+
 def test_estimate_is_shown_as_text_html_and_json(model: Model, multisine: Recording) -> None:
     estimate = estimators.output_error(model, [multisine])
     text, html, document = str(estimate), estimate._repr_html_(), estimate.to_json()
