@@ -143,6 +143,7 @@ def _answer(
     found = replace(found, findings=_by_relevance(found, workspace.owners, loops))
     concluded = verdict(found, rest, workspace)
     shown, explained = concluded.steps[-1].fit, concluded.verdict in (Verdict.ADEQUATE, Verdict.MISSING_EFFECT)
+    stated = partial(contradictions, found.base, concluded.steps[-1], request.stated, workspace)
     concluded = replace(
         concluded,
         disturbance=disturbances(shown),
@@ -150,7 +151,7 @@ def _answer(
         prediction_limit=prediction_limit(shown),
         untried=untried(workspace, found.findings),
         rounds=tuple(workspace.rounds),
-        contradicted=contradictions(found.base, concluded.steps[-1], request.stated, workspace) if explained else (),
+        contradicted=(tried(stated) if explained else None) or (),
     )
     return concluded, events(last.fit)
 
