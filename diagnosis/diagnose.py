@@ -17,9 +17,9 @@ from upright.diagnosis.findings import Diagnosis as Diagnosis
 from upright.diagnosis.findings import Finding as Finding
 from upright.diagnosis.findings import Verdict as Verdict
 from upright.diagnosis.fits.refit import FullFit, settled
+from upright.diagnosis.fits.stated_values import contradictions
 from upright.diagnosis.lack_of_fit.adequacy import adequacy
 from upright.diagnosis.lack_of_fit.events import Event, events, pieces
-from upright.diagnosis.lack_of_fit.stated_values import contradictions
 from upright.diagnosis.prediction.closed_loop_error import Loop
 from upright.diagnosis.prediction.limit import prediction_limit
 from upright.diagnosis.prediction.relevance import relevances

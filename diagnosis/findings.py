@@ -8,10 +8,10 @@ from enum import StrEnum
 from typing import Any
 
 from upright.diagnosis.fits.refit import FullFit
+from upright.diagnosis.fits.stated_values import Contradiction
 from upright.diagnosis.gates import HeldOut, Round
 from upright.diagnosis.lack_of_fit.adequacy import Adequacy
 from upright.diagnosis.lack_of_fit.events import Event
-from upright.diagnosis.lack_of_fit.stated_values import Contradiction
 from upright.diagnosis.prediction.limit import PredictionLimit
 from upright.diagnosis.prediction.relevance import Relevance
 from upright.diagnosis.score.score_test import ScoreTest

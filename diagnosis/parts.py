@@ -239,7 +239,9 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
     left_out = {name: why for name, why in (vehicle.left_out or {}).items() if name not in {e.name for e in effects}}
     left_out |= actuators.left_out or {}
     untried = (*vehicle.untried, *(f"actuators: {each}" for each in actuators.untried))
-    vehicle = replace(vehicle, left_out=left_out, untried=untried, parts=(vehicle, actuators))
+    contradicted = (*vehicle.contradicted, *actuators.contradicted)
+    parts = (vehicle, actuators)
+    vehicle = replace(vehicle, left_out=left_out, untried=untried, contradicted=contradicted, parts=parts)
     verdict, reason = vehicle.verdict, vehicle.reason
     if actuators.verdict in (Verdict.UNKNOWN, Verdict.INSUFFICIENT_DATA):
         why = f"the actuators follow no known speed loop: {actuators.reason}"

@@ -42,16 +42,18 @@ def disturbance_sentences(diagnosis: Diagnosis) -> str:
 
 
 def contradiction_sentences(diagnosis: Diagnosis) -> str:
-    """The stated values that the recordings contradict, of all parts, and the question that follows; empty if there are
-    none."""
-    found = [each for part in (*diagnosis.parts, diagnosis) for each in part.contradicted]
+    """The stated values that the recordings contradict, and the question that follows; empty if there are none."""
+    found = diagnosis.contradicted
     if not found:
         return ""
     values = "; ".join(map(str, found))
     effects = " and ".join(dict.fromkeys(name for each in found for name in each.instead_of))
     if not effects:
-        return f"The recordings contradict what the model states: {values}. Check what is stated, and its ±."
-    return f"Is right what the model states? The recordings need {effects} only if it is. Without: {values}."
+        return f"The recordings contradict what the model states: {values}. Check the stated values and their ±."
+    return (
+        "Are the stated values right? The recordings contradict some of them, and need"
+        f" {effects} only if they are right. Without {effects}, {values}."
+    )
 
 
 def _erring(diagnosis: Diagnosis) -> str:

@@ -106,9 +106,9 @@ def next_step(diagnosis: Diagnosis) -> str:
     """One sentence."""
     if diagnosis.suggested_experiment:
         return _experiment(diagnosis.suggested_experiment)
-    contradicted = [each for part in (*diagnosis.parts, diagnosis) for each in part.contradicted]
+    contradicted = diagnosis.contradicted
     if contradicted and (diagnosis.adequate or any(each.instead_of for each in contradicted)):
-        return "Correct what the model states of the values below, or widen its ±, and diagnose again."
+        return "Correct the stated values that the recordings contradict, or widen their ±, and diagnose again."
     match diagnosis.verdict:
         case Verdict.ADEQUATE:
             return "Use the model with the fitted values; there is nothing to add."

@@ -101,7 +101,7 @@ class Likelihood:
         active = (*task.free, *[ELSEWHERE] * noise.size, *also, *starts)
         order = np.r_[0:size, len(places) : len(places) + noise.size, size : len(places)]
         by_gain = np.concatenate((steady.slopes[:, order], np.zeros((gain.size, len(starts)))), axis=1)
-        squares, runs, ends = np.zeros((gain.shape[1],) * 2), [], []
+        squares, moments, ends = np.zeros((gain.shape[1],) * 2), [], []
         at_start = stationary_start(noise, values, common[size:], steady, order[: size + noise.size])
         spread = at_start.spread
         for segment, initial, part in zip(task.segments, task.initials, own, strict=False):
@@ -116,8 +116,10 @@ class Likelihood:
             unknown = ~np.isfinite(error)
             if unknown.any():
                 error[unknown], run.sensitivity[unknown] = 0.0, 0.0
+            columns = run.sensitivity.reshape(len(error), -1)
+            _leave_out_runaways(columns)
             squares += error.T @ error
-            runs.append((run.sensitivity.reshape(len(error), -1), error))
+            moments.append((columns.T @ columns, columns.T @ error))
             ends.append((off / spread, by / spread[:, None]))
         covariance = _at_least(squares / task.rows + np.diag(self._floor), self._counted)
         # Each output in its own unit: a stuck wheel does not mean that the predictor diverges.
@@ -125,8 +127,6 @@ class Likelihood:
         if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > DIVERGED:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
-        _leave_out_diverging([columns for columns, _ in runs])
-        moments = [(columns.T @ columns, columns.T @ error) for columns, error in runs]
         normals = tuple(_weighted(*moment, weights, *end, at_start) for moment, end in zip(moments, ends, strict=True))
         surprise = sum(float(end @ end) for end, _ in ends)
         cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * surprise
@@ -173,25 +173,22 @@ def _at_least(covariance: Array, least: Array) -> Array:
     return found
 
 
-def _leave_out_diverging(segments: Sequence[Array]) -> None:
-    """Set to zero the derivatives of a sample that alone has more than half of the sum of squares, in the mean over the
-    columns of `segments`, each (n, ny * c). Repeated until there is none.
+def _leave_out_runaways(columns: Array) -> None:
+    """Set to zero the derivatives of a sample that alone has more than half of the sum of squares of a segment, in the
+    mean over its `columns` (n, ny * c). Repeated until there is none.
 
-    Where parts collide, derivatives grow from impact to impact, now and then to a million million times those of all
-    other samples. They hold for changes far below any standard deviation, and in the products the other samples would
-    be lost in rounding.
+    Where parts collide, derivatives grow from impact to impact, now and then by more digits than a number has. They
+    hold for changes far below any standard deviation, and in the products the other samples would be lost in rounding.
     """
-    with np.errstate(over="ignore"):
-        squares = [columns**2 for columns in segments]
-    found = [np.flatnonzero(~np.isfinite(each).all(axis=1)) for each in squares]
+    sizes = np.einsum("ij,ij->i", columns, columns)
+    away = ~(sizes < np.finfo(np.float64).max / len(sizes))
     while True:
-        for columns, each, rows in zip(segments, squares, found, strict=True):
-            columns[rows] = each[rows] = 0.0
-        total = sum(each.sum(axis=0) for each in squares)
+        columns[away] = 0.0
+        total = np.einsum("ij,ij->j", columns, columns)
         weights = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
-        weights /= max(1, np.count_nonzero(weights))
-        found = [np.flatnonzero(each @ weights > 0.5) for each in squares]
-        if not any(map(len, found)):
+        shares = np.einsum("ij,ij,j->i", columns, columns, weights)
+        away = shares > 0.5 * float(np.sum(total > 0.0))
+        if not away.any():
             return
 
 

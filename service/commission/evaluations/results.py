@@ -16,8 +16,8 @@ from upright.service.commission.evidence import Evidence, Found
 from upright.service.whole_file import write_whole
 from upright.vehicles.commissioning import CommissioningError, Number
 
-UNHURRIED = ("--budget", "300")
-"""s for a diagnosis: what it names decides about the controller, so that a slow computer takes longer, not less."""
+UNHURRIED = ("--budget", "inf")
+"""Of a diagnosis: what it names decides about the controller, so that a slow computer takes longer, not less."""
 
 
 def identified(evidence: Evidence) -> Found:

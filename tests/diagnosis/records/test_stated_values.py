@@ -13,7 +13,9 @@ from pendulum_plant import INERTIA, STIFFNESS
 from test_own_machine import MANUAL, MISSING, diagnosed
 
 from upright.diagnosis.evidence import LEVEL
-from upright.diagnosis.lack_of_fit.stated_values import Contradiction, stated_wrong
+from upright.diagnosis.findings import Diagnosis, Verdict
+from upright.diagnosis.fits.stated_values import Contradiction, stated_wrong
+from upright.diagnosis.parts import merged
 from upright.diagnosis.report.sentences import contradiction_sentences
 from upright.diagnosis.report.words import next_step
 from upright.models.parts import Parameter
@@ -66,46 +68,51 @@ def test_an_effect_that_only_wrong_values_need_is_a_question(tmp_path: Path) -> 
 
 def test_sentence_asks_which_of_the_two_it_is() -> None:
     wrong = Contradiction("inertia", "kg m^2", 0.5, 0.01, 0.62, 0.005, ("input_gain",))
-    asked: Any = SimpleNamespace(parts=(), contradicted=(wrong,), suggested_experiment=None, adequate=False)
-    assert next_step(asked).startswith("Correct what the model states")
+    asked = Diagnosis(Verdict.MISSING_EFFECT, "", contradicted=(wrong,))
+    assert next_step(asked).startswith("Correct the stated values")
     assert contradiction_sentences(asked) == (
-        "Is right what the model states? The recordings need input_gain only if it is. Without: inertia is stated as"
-        " 0.500 ± 0.010 kg m^2, and 0.6200 ± 0.0050 kg m^2 fits."
+        "Are the stated values right? The recordings contradict some of them, and need input_gain only if they are"
+        " right. Without input_gain, inertia is stated as 0.500 ± 0.010 kg m^2, and 0.6200 ± 0.0050 kg m^2 fits."
     )
-    assert contradiction_sentences(SimpleNamespace(parts=(), contradicted=())) == ""  # type: ignore[arg-type]
+    assert contradiction_sentences(Diagnosis(Verdict.ADEQUATE, "")) == ""
+
+
+def test_contradictions_of_both_parts_are_said_once() -> None:
+    vehicle, drive = (Contradiction(name, "1", 1.0, 0.01, 2.0, 0.01) for name in ("inertia", "lag"))
+    whole = merged(*(Diagnosis(Verdict.ADEQUATE, "", contradicted=(each,)) for each in (vehicle, drive)), ())
+    assert whole.contradicted == (vehicle, drive)
+    assert contradiction_sentences(whole).count("is stated as") == 2
+
+
+STDS = np.array([0.1, 0.5, 1.0, 2.0])
+NOISE = 0.05
+
+
+def called_wrong(columns: np.ndarray, seen: np.ndarray) -> list[str]:
+    """Which of four parameters, stated as 0 ± STDS, are called wrong if `columns` (n, 4) times them, with NOISE, is
+    `seen` (n,)."""
+    information = columns.T @ columns / NOISE**2 + np.diag(STDS**-2.0)
+    estimate = np.linalg.solve(information, columns.T @ seen / NOISE**2)
+    parameters = [Parameter(f"p{place}", "1", 0.0, std) for place, std in enumerate(STDS)]
+    minimum = SimpleNamespace(information=information, common=estimate)
+    problem = SimpleNamespace(parameters=parameters, start=np.zeros(4))
+    fit = SimpleNamespace(problem=problem, minimum=minimum)
+    fitted: Any = SimpleNamespace(fit=fit, model=SimpleNamespace(base_states=()))
+    return [each.name for each in stated_wrong(fitted, {each.name for each in parameters})]
 
 
 def test_right_values_are_called_wrong_in_a_hundredth_of_records() -> None:
-    """Normal errors, and a record that determines three sums of four parameters: 10,000 records."""
-    random, stds = np.random.default_rng(5), np.array([0.1, 0.5, 1.0, 2.0])
-    columns = random.standard_normal((3, 4))
-    information = columns.T @ columns / 0.05**2 + np.diag(stds**-2.0)
-    parameters = [Parameter(f"p{place}", "1", 0.0, std) for place, std in enumerate(stds)]
-    problem = SimpleNamespace(parameters=parameters, start=np.zeros(4))
-    called = 0
+    """Three sums of four parameters: 10,000 records."""
+    random = np.random.default_rng(5)
+    columns, called = random.standard_normal((3, 4)), 0
     for _ in range(10_000):
-        true = stds * random.standard_normal(4)
-        seen = columns @ true + 0.05 * random.standard_normal(3)
-        estimate = np.linalg.solve(information, columns.T @ seen / 0.05**2)
-        fitted: Any = SimpleNamespace(
-            fit=SimpleNamespace(problem=problem, minimum=SimpleNamespace(information=information, common=estimate)),
-            model=SimpleNamespace(base_states=()),
-        )
-        called += bool(stated_wrong(fitted, {each.name for each in parameters}))
+        true = STDS * random.standard_normal(4)
+        called += bool(called_wrong(columns, columns @ true + NOISE * random.standard_normal(3)))
     assert 0.3 * LEVEL < called / 10_000 < 1.2 * LEVEL
 
 
 @pytest.mark.parametrize("wrong", range(4))
 def test_wrong_value_is_found_among_right_ones(wrong: int) -> None:
-    random, stds = np.random.default_rng(6), np.array([0.1, 0.5, 1.0, 2.0])
-    columns = random.standard_normal((6, 4))
-    information = columns.T @ columns / 0.05**2 + np.diag(stds**-2.0)
-    parameters = [Parameter(f"p{place}", "1", 0.0, std) for place, std in enumerate(stds)]
-    true = np.where(np.arange(4) == wrong, 12.0 * stds, 0.5 * stds)
-    estimate = np.linalg.solve(information, columns.T @ (columns @ true) / 0.05**2)
-    problem = SimpleNamespace(parameters=parameters, start=np.zeros(4))
-    fitted: Any = SimpleNamespace(
-        fit=SimpleNamespace(problem=problem, minimum=SimpleNamespace(information=information, common=estimate)),
-        model=SimpleNamespace(base_states=()),
-    )
-    assert [each.name for each in stated_wrong(fitted, {each.name for each in parameters})] == [f"p{wrong}"]
+    columns = np.random.default_rng(6).standard_normal((6, 4))
+    true = np.where(np.arange(4) == wrong, 12.0 * STDS, 0.5 * STDS)
+    assert called_wrong(columns, columns @ true) == [f"p{wrong}"]
