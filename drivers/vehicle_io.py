@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.cia402.states import State
 from upright.drivers.imu.imu import Imu
+from upright.drivers.observed_speed import ObservedSpeed
 from upright.telemetry.samples import CanFrame, ImuSample
 
 LARGEST = 8
@@ -18,16 +19,19 @@ LARGEST = 8
 
 
 class VehicleIo:
-    """Dispatches the frames of the IMU and the drives, and builds the frames of a command."""
+    """Dispatches the frames of the IMU, the drives and the observed speeds, and builds the frames of a command."""
 
-    def __init__(self, imu: Imu, drives: Sequence[Drive]) -> None:
+    def __init__(self, imu: Imu, drives: Sequence[Drive], speeds: Sequence[ObservedSpeed] = ()) -> None:
         self.imu = imu
         self.drives = tuple(drives)
+        self.speeds = tuple(speeds)
         self._following = tuple((drive, drive.config.follows) for drive in self.drives)
         self._handlers: dict[int, Callable[[CanFrame], object]] = {}
         for drive in self.drives:
             for can_id in drive.can_ids:
                 self._handlers[can_id] = drive.handle
+        for speed in self.speeds:
+            self._handlers[speed.config.can_id] = speed.handle
         for can_id in imu.can_ids:
             self._handlers[can_id] = self._handle_imu
         self._sample: ImuSample | None = None
@@ -91,6 +95,8 @@ class VehicleIo:
         self.imu.reset(start_ns)
         for drive in self.drives:
             drive.reset()
+        for speed in self.speeds:
+            speed.reset()
 
     @property
     def state(self) -> State | None:

@@ -113,12 +113,29 @@ class ImuNode:
 
 
 @dataclass(frozen=True, slots=True)
+class SpeedNode:
+    """The inverter of a flywheel, which reports its speed in the frame `can_id`: little-endian from `start_byte` on,
+    `unit` rad/s a count, with the sign of the direction in which it has to turn."""
+
+    can_id: int
+    start_byte: int = 0
+    layout: Literal["int16", "int32"] = "int32"
+    unit: float = 1e-4
+    period: float = 0.05
+    """s between two reports."""
+
+
+@dataclass(frozen=True, slots=True)
 class SimulationConfig:
     """One virtual vehicle. `hidden` maps a hidden effect to its level, a multiple of its usual amplitude (None: 1)."""
 
     plant: Truth
     drives: Sequence[DriveNode] = ()
     imu: ImuNode = field(default_factory=ImuNode)
+    speeds: Sequence[SpeedNode] = ()
+    """Inverters of flywheels that report their speed, in the order of the machine's flywheels."""
+    flywheels_stand: bool = False
+    """Whether the flywheels stand still, switched off, at the start; else they are at their speed."""
     rate: int = 250
     """Hz of the IMU's stream: the control cycle."""
     seed: int = 1

@@ -21,7 +21,7 @@ import can
 from upright.simulation.bus.port import BusPort, PortStatistics, Received
 from upright.simulation.config import SimulationConfig
 from upright.simulation.faults import Fault
-from upright.simulation.physics.load import Load, Tilt
+from upright.simulation.physics.load import Action
 from upright.simulation.vehicle import SYNC_ID, VirtualVehicle
 
 MOST_BEHIND = 10
@@ -38,7 +38,7 @@ DRAIN_INTERVAL = 250
 log = logging.getLogger(__name__)
 
 
-def nothing() -> Load | Tilt | None:
+def nothing() -> Action | None:
     """No load."""
     return None
 
@@ -63,7 +63,7 @@ def run(
     lock_step: bool = False,
     stop: threading.Event | None = None,
     faults: Sequence[Fault] = (),
-    load: Callable[[], Load | Tilt | None] = nothing,
+    load: Callable[[], Action | None] = nothing,
 ) -> RunStatistics:
     """Run the vehicle until `stop` is set (for ever without one). `imu_bus` None: the IMU is on `bus` too. `load()` is
     asked every cycle what is on the vehicle.
@@ -89,7 +89,7 @@ class Runner:
         lock_step: bool = False,
         stop: threading.Event | None = None,
         faults: Sequence[Fault] = (),
-        load: Callable[[], Load | Tilt | None] = nothing,
+        load: Callable[[], Action | None] = nothing,
         patience: float = MASTER_TIMEOUT,
     ) -> None:
         self.vehicle = VirtualVehicle(config, self._send, faults)

@@ -13,10 +13,11 @@ from upright.simulation.bus.drive_node import VirtualDrive
 from upright.simulation.bus.imu_node import VirtualImu
 from upright.simulation.bus.machine import Machine
 from upright.simulation.bus.object_dictionary import SimulationError
+from upright.simulation.bus.speed_reports import SpeedReports
 from upright.simulation.config import DriveNode, SimulationConfig
 from upright.simulation.faults import FAULTS, Fault
 from upright.simulation.kinds import machine
-from upright.simulation.physics.load import Load, Tilt
+from upright.simulation.physics.load import Action
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000
@@ -87,6 +88,13 @@ class VirtualVehicle:
             falling_axis=self.plant.falling_axis,
         )
         self.imu_stream = ImuStream(self.imu, self.plant)
+        if config.speeds and len(config.speeds) != len(self.plant.speeds):
+            raise SimulationError(
+                f"{len(config.speeds)} flywheels report their speed, and {self.plant.name} has"
+                f" {len(self.plant.speeds)}.",
+                remedy="Give a [[flywheel]] section for each of them, or for none.",
+            )
+        self.speed_reports = SpeedReports(config.speeds)
         self.synchronised = False
         """A SYNC has been seen."""
         self._send = send
@@ -99,7 +107,7 @@ class VirtualVehicle:
         self._drives = tuple(self.drives.values())
         self._faults = list(faults)
         self._agenda: list[tuple[float, Callable[[], None]]] = []
-        self._load: Load | Tilt | None = None
+        self._load: Action | None = None
 
     @property
     def time_ns(self) -> int:
@@ -125,6 +133,8 @@ class VirtualVehicle:
         for drive in self._drives:
             drive.tick()
         timestamp_ns = self.time_ns
+        for can_id, data in self.speed_reports.frames(now, self.plant.speeds):
+            self._send(can_id, data, timestamp_ns, of_imu=False)
         for can_id, data in self.imu_stream.frames():
             self._send(can_id, data, timestamp_ns, of_imu=True)
 
@@ -144,11 +154,11 @@ class VirtualVehicle:
         """Advance the mechanics."""
         self.plant.advance(steps)
 
-    def carry(self, load: Load | Tilt | None) -> None:
-        """Carry `load` from now on, or none."""
+    def carry(self, load: Action | None) -> None:
+        """Undergo `load` from now on, or nothing."""
         if load != self._load:
             self._load = load
-            self.plant.load.carry(load)
+            self.plant.undergo(load)
 
     def later(self, delay: float, action: Callable[[], None]) -> None:
         """Run `action` `delay` s from now, at the next control cycle then."""

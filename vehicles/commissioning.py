@@ -17,6 +17,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from upright.telemetry.errors import UprightError
+from upright.vehicles.sections import VehicleFile
 
 FILE = "commissioning.toml"
 Id = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -68,6 +69,9 @@ class Step(Data):
     title: str
     why: str
     why_now: str
+    only_with: str = ""
+    """A section of the vehicle file that the vehicle must have for this step: "flywheel"; with "no " before it, one
+    that it must not have. Other vehicles do not have the step."""
     needs: list[Id] = []
     """Steps that must be accepted, or skipped, before."""
     prepare: str = ""
@@ -155,6 +159,18 @@ class Steps(Data):
             before.append(each.id)
         return self
 
+    def of(self, vehicle: VehicleFile) -> Steps:
+        """Those of one vehicle."""
+        there = [each for each in self.step if _has(vehicle, each.only_with)]
+        names = {each.id for each in there}
+
+        def known(of: list[str]) -> list[str]:
+            return [name for name in of if name in names]
+
+        return Steps(
+            step=[each.model_copy(update={"needs": known(each.needs), "of": known(each.of)}) for each in there]
+        )
+
     def find(self, name: str) -> Step:
         """The step of this id. Raises CommissioningError."""
         for each in self.step:
@@ -192,7 +208,7 @@ class Steps(Data):
             "next": following.id if following is not None else None,
             "steps": [
                 {
-                    **each.model_dump(exclude={"acceptance"}),
+                    **each.model_dump(exclude={"acceptance", "only_with"}),
                     "state": states[each.id].value,
                     "acceptance": [_judged(one, newest.get(each.id)) for one in each.acceptance],
                     **_carried_out(newest.get(each.id)),
@@ -234,9 +250,19 @@ def _carried_out(entry: Entry | None) -> dict[str, Any]:
     return shown.model_dump(include={"date", "by", "numbers", "text", "reason", "recording", "files"})
 
 
+def steps_for(vehicle: VehicleFile) -> Steps:
+    """The steps of one vehicle. Raises CommissioningError if its kind has none, or if they cannot be used."""
+    return steps_of(vehicle.vehicle.kind).of(vehicle)
+
+
+def _has(vehicle: VehicleFile, section: str) -> bool:
+    without = section.startswith("no ")
+    return not section or bool(getattr(vehicle, section.removeprefix("no "), None)) != without
+
+
 @cache
 def steps_of(kind: str) -> Steps:
-    """The steps of a kind of vehicle. Raises CommissioningError if it has none, or if they cannot be used."""
+    """All steps of a kind of vehicle. Raises CommissioningError if it has none, or if they cannot be used."""
     place = files(f"upright.vehicles.{kind}").joinpath(FILE)
     if not place.is_file():
         raise CommissioningError(

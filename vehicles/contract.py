@@ -189,6 +189,10 @@ class Kind(Protocol[M]):
         """What prevents this kind from starting a run, each as a sentence with the remedy."""
         ...
 
+    def obstacles(self, drives: M) -> list[str]:
+        """What prevents it from getting up, though it may start a run that leaves it on its support."""
+        ...
+
     def pilot(self) -> Pilot[M]:
         """The controller, designed from the vehicle file. Raises ControlDesignError."""
         ...
@@ -240,8 +244,9 @@ class VehicleKind:
     known, in words; `designs`: its controllers by name, designed for the parameters of its file and checked wherever
     these may be, none if their gains are in the file; `prediction`: how that loop is predicted; `twin`: its virtual
     vehicle; `shaken`: range of the RMS of its random disturbance in benchmarks, in the unit of the force it falls by.
-    `evaluations`: those that only steps of this kind
-    need. The functions import what they need when they are called.
+    `evaluations`: those that only steps of this kind need; `measured`: parameters (value and standard deviation, SI)
+    that recordings themselves measure, which count in place of the vehicle file's. The functions import what they need
+    when they are called.
     """
 
     file: type[VehicleFile]
@@ -256,3 +261,4 @@ class VehicleKind:
     twin: Callable[[], Twin]
     shaken: tuple[float, float]
     evaluations: Callable[[], Mapping[str, Measure]] = dict
+    measured: Callable[[Any, Sequence[Recording]], Mapping[str, tuple[float, float]]] = lambda vehicle, recordings: {}

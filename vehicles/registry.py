@@ -7,6 +7,7 @@ A further kind is a further folder; neither this module nor any other names a ki
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -72,6 +73,15 @@ def models_of(vehicle: VehicleFile) -> Models:
         with_values(each, known.values, known.deviations) for each in (found.nominal, *found.actuators)
     )
     return Models(nominal, tuple(actuators))
+
+
+def as_measured(vehicle: VehicleFile, recordings: Sequence[Recording]) -> VehicleFile:
+    """`vehicle` with the parameters that `recordings` of it measure themselves."""
+    found = of(vehicle.vehicle.kind).measured(vehicle, recordings)
+    if not found:
+        return vehicle
+    values, deviations = ({name: each[place] for name, each in found.items()} for place in (0, 1))
+    return vehicle.with_values(values, deviations)
 
 
 def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from upright.drivers import can_ids
+from upright.drivers.observed_speed import SpeedConfig
 
 IMU_RATES = (50, 100, 200, 250, 500)
 """Stream rates that are fast enough to balance on, Hz: those of the LPMS-IG1, and the 200 Hz of others."""
@@ -285,6 +286,21 @@ class TiltSection(Section):
     """The sentence that asks the person for it."""
 
 
+class SpinSection(Section):
+    """What a person does with the flywheels of a vehicle at rest, when the service says so."""
+
+    up: bool
+    """Whether they are to be brought to their speed; else their inverters are switched off, and they run down."""
+    after: NotNegative = 5.0
+    """s after the start of the recording."""
+    announcement: str
+    """The sentence that asks the person for it."""
+
+
+Asked = LoadSection | TiltSection | SpinSection
+"""What a person may be asked to do during an experiment."""
+
+
 class ExperimentSection(Section):
     title: str
     excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine", "silence"]
@@ -310,11 +326,13 @@ class ExperimentSection(Section):
     """A load that a person puts on the vehicle; it stays until the vehicle lies on its support again."""
     tilt: TiltSection | None = None
     """A person tilts the vehicle over, which is at rest with its drives off."""
+    spin: SpinSection | None = None
+    """A person brings the flywheels to their speed, or lets them run down, while the vehicle is at rest."""
 
     @property
-    def asks(self) -> LoadSection | TiltSection | None:
+    def asks(self) -> Asked | None:
         """What a person is asked to do during the experiment."""
-        return self.load or self.tilt
+        return self.load or self.tilt or self.spin
 
     @property
     def gets_up(self) -> bool:
@@ -325,8 +343,16 @@ class ExperimentSection(Section):
     def _person_finds_the_vehicle_as_told(self) -> Self:
         if self.load is not None and not self.gets_up:
             raise ValueError("a load is put on a vehicle that is up: leave out load, or choose another at")
-        if self.tilt is not None and not (self.at == REST and self.excitation == "none"):
+        if sum(each is not None for each in (self.load, self.tilt, self.spin)) > 1:
+            raise ValueError("a person does one thing during an experiment: leave load, tilt or spin")
+        at_rest = self.at == REST and self.excitation == "none"
+        if self.tilt is not None and not at_rest:
             raise ValueError('a vehicle is tilted by hand with its drives off: excitation = "none" and at = "rest"')
+        if self.spin is not None and not (at_rest and self.spin.after < self.duration):
+            raise ValueError(
+                "flywheels are switched while the vehicle lies on its support with its drives off, before the duration "
+                'is over: excitation = "none", at = "rest", and a longer duration'
+            )
         if self.tilt is not None and self.tilt.after + self.tilt.duration > self.duration:
             raise ValueError(
                 f"the vehicle is tilted {self.tilt.after + self.tilt.duration:g} s after the start, but the duration "
@@ -503,10 +529,17 @@ class VehicleFile(Section):
     @model_validator(mode="after")
     def _ids_do_not_clash(self) -> Self:
         """A set of frames with consecutive ids may reach into those of CANopen."""
-        if self.bus.imu != self.bus.drives:
-            return self
         nodes = [can_ids.Node(each.name, each.node, len(each.rpdo), len(each.tpdo)) for each in self.drive]
         owners = can_ids.owners(self.control.master_node, nodes)
+        for speed in self.observed:
+            if speed.can_id in owners:
+                raise ValueError(
+                    f"{speed.name}: the frame {speed.can_id:03X}h carries {owners[speed.can_id]}; give the id of the "
+                    "frame in which its inverter reports the speed, or change that id in the inverter"
+                )
+            owners[speed.can_id] = f"the speed of {speed.name}"
+        if self.bus.imu != self.bus.drives:
+            return self
         ids = can_ids.imu_ids(self.imu.protocol, self.imu.base_id, self.imu.precision, self.imu.slots)
         for can_id in ids:
             if can_id in owners:
@@ -517,6 +550,11 @@ class VehicleFile(Section):
                     f"well; set another id in the device and here{use}, or use a second bus"
                 )
         return self
+
+    @property
+    def observed(self) -> tuple[SpeedConfig, ...]:
+        """The speeds that are read on the bus of the drives and commanded by somebody else."""
+        return ()
 
     def with_values(self, values: Mapping[str, float], deviations: Mapping[str, float] | None = None) -> Self:
         """The same vehicle with other parameter values (SI) and standard deviations; names that it does not have, or

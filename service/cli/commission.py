@@ -112,15 +112,17 @@ def commission(
     events = Events(json=json)
     with ExitStack() as beside:
         sockets = [socket] if socket else api.socket_candidates(file.vehicle.id)
+        begins = begin or (virtual and not given)
         if virtual:
-            sockets = [beside.enter_context(_virtual(file, hide or [], seed, data or Path("recordings/virtual")))]
+            place = data or Path("recordings/virtual")
+            sockets = [beside.enter_context(_virtual(file, hide or [], seed, place, begins=begins))]
         guide = Guide(file, sockets, events.followed(follow))
         code = _commission(
             guide,
             events,
             yes=yes,
             resume=resume,
-            begin=begin or (virtual and not given),
+            begin=begins,
             first=first,
             only=only,
             recording=recording,
@@ -287,15 +289,16 @@ class Events:
             (people if code else page).print(f"\n{text}")
 
 
-def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path) -> Any:
-    """A virtual vehicle and its daemon, as a context manager that gives the control socket."""
+def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path, *, begins: bool) -> Any:
+    """A virtual vehicle and its daemon, as a context manager that gives the control socket. `begins`: it has not been
+    commissioned yet."""
     from contextlib import contextmanager
 
     from upright.service.cli.inputs import working
     from upright.service.control.daemon import Places
     from upright.service.observer.live.online_estimators import online_estimators
     from upright.service.virtual.daemon import daemon_beside
-    from upright.service.virtual.vehicle import requested_disturbance
+    from upright.service.virtual.vehicle import before_commissioning, requested_disturbance
 
     @contextmanager
     def beside() -> Any:
@@ -306,7 +309,9 @@ def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path) -> Any:
             online_estimators(file.vehicle.kind, cad.values, cad.deviations, file.support).join()
         places = Places(BUS, BUS, data, data.absolute() / f"{file.vehicle.id}.sock")
         people.print(f"A virtual {file.vehicle.id} gets ready; recordings are in {data}.")
-        with daemon_beside(file, places, hide, seed, disturbance=requested_disturbance(file, hide)):
+        shaken = requested_disturbance(file, hide)
+        how = before_commissioning(file) if begins else lambda configuration: configuration
+        with daemon_beside(file, places, hide, seed, disturbance=shaken, configure=how):
             yield places.socket
 
     return beside()

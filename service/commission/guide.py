@@ -28,7 +28,7 @@ from upright.service.commission.report import write_commissioning
 from upright.service.control.clients import api
 from upright.service.whole_file import write_whole
 from upright.telemetry.errors import UprightError
-from upright.vehicles.commissioning import CommissioningError, Entry, State, Step, Steps, is_within, latest, steps_of
+from upright.vehicles.commissioning import CommissioningError, Entry, State, Step, Steps, is_within, latest, steps_for
 from upright.vehicles.sections import VehicleFile
 
 FOLDER = "commissioning"
@@ -60,7 +60,7 @@ class Guide:
     @property
     def steps(self) -> Steps:
         """Raises CommissioningError if this kind of vehicle has none."""
-        return steps_of(self.vehicle.vehicle.kind)
+        return steps_for(self.vehicle)
 
     def ask(self, request: Request) -> dict[str, Any]:
         """The daemon's result. Raises ApiError if there is no daemon, StepError if it refuses."""

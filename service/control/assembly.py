@@ -15,6 +15,7 @@ from typing import Any
 from upright.drivers.cia402.drive import Drive
 from upright.drivers.imu.imu import Imu
 from upright.drivers.imu.layout import ImuConfig
+from upright.drivers.observed_speed import ObservedSpeed
 from upright.drivers.vehicle_io import VehicleIo
 from upright.estimators.roll_filter import RollFilter, RollFilterConfig
 from upright.telemetry.channels import ChannelTable
@@ -56,8 +57,12 @@ def imu_config(vehicle: VehicleFile) -> ImuConfig:
 
 
 def vehicle_io(vehicle: VehicleFile) -> VehicleIo:
-    """The IMU and the drives of a vehicle, without measurements yet."""
-    return VehicleIo(Imu(imu_config(vehicle)), [Drive(drive_config(vehicle, drive)) for drive in vehicle.drive])
+    """The IMU, the drives and the observed speeds of a vehicle, without measurements yet."""
+    return VehicleIo(
+        Imu(imu_config(vehicle)),
+        [Drive(drive_config(vehicle, drive)) for drive in vehicle.drive],
+        [ObservedSpeed(each) for each in vehicle.observed],
+    )
 
 
 def roll_filter(vehicle: VehicleFile) -> RollFilter:

@@ -15,7 +15,8 @@ from pydantic import ValidationError
 
 from upright.service.control import kept
 from upright.telemetry.errors import UprightError
-from upright.vehicles.commissioning import CommissioningError, Entry, Steps, steps_of
+from upright.vehicles.commissioning import CommissioningError, Entry, Steps, steps_for
+from upright.vehicles.sections import VehicleFile
 
 FILE = "commissioning.json"
 
@@ -32,10 +33,10 @@ class Record:
     entries: tuple[Entry, ...] = ()
 
     @classmethod
-    def read(cls, folder: Path, kind: str) -> Record:
-        """The record in `folder`, empty if there is none. Raises RecordError."""
+    def read(cls, folder: Path, vehicle: VehicleFile) -> Record:
+        """The record of `vehicle` in `folder`, empty if there is none. Raises RecordError."""
         try:
-            steps = steps_of(kind)
+            steps = steps_for(vehicle)
         except CommissioningError:
             steps = None
         path = folder / FILE

@@ -222,7 +222,7 @@ class Dashboard:
         """The command line of a step. Its experiment has been run before: a job never moves the vehicle."""
         socket = ["--socket", str(self._settings.socket.absolute())] if self._settings.socket is not None else []
         daemon = [*self._vehicle, *socket]
-        steps = commissioning.steps_of(self._settings.vehicle.vehicle.kind)
+        steps = commissioning.steps_for(self._settings.vehicle)
         if kind == "begin":
             return ["commission", "--begin", *daemon]
         step = steps.find(str(document.get("step")))

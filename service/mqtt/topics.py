@@ -48,6 +48,14 @@ class Tilt(Message):
     announcement: str
 
 
+class Spin(Message):
+    """What a person is asked to do with the flywheels."""
+
+    up: bool
+    """Bring them to their speed; else switch their inverters off, so that they run down."""
+    announcement: str
+
+
 class State(Message):
     """The state of the vehicle, and its interlocks."""
 
@@ -59,6 +67,8 @@ class State(Message):
     """The load that the running experiment asks for, from its time on."""
     tilt: Tilt | None
     """The same of a tilt by hand."""
+    spin: Spin | None
+    """The same of the flywheels."""
     code: str
     reason: str
     interlocks: list[str]

@@ -110,6 +110,7 @@ def diagnosed(
     report = progress or (lambda text, share: None)
     if seconds is not None and not seconds > 0.0:
         raise EstimationError("budget", f"{seconds:g} s is no time", remedy="give more than 0 s; inf means no limit.")
+    vehicle = registry.as_measured(vehicle, recordings) if vehicle is not None else None
     nominal = to_be_completed(model, vehicle)
     support = support_of(nominal, vehicle)
     own = vehicle if is_of(nominal, vehicle) else None

@@ -100,6 +100,7 @@ def identified(
     Raises ModelError and EstimationError for an invalid model or name, RecordingError for a recording with a load,
     DataError for a table that is to be read otherwise.
     """
+    vehicle = registry.as_measured(vehicle, recordings) if vehicle is not None else None
     subject = identified_model(model, vehicle)
     values: Mapping[str, float] = {}
     deviations: Mapping[str, float] = {}

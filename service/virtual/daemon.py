@@ -15,7 +15,7 @@ from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.simulation.config import SimulationConfig
 from upright.simulation.faults import Fault
 from upright.simulation.physics.disturbance import Disturbance
-from upright.simulation.physics.load import Load, Tilt
+from upright.simulation.physics.load import Action
 from upright.simulation.vehicle import VirtualVehicle
 from upright.vehicles.sections import VehicleFile
 
@@ -69,7 +69,7 @@ def daemon_beside(
     daemon = made[0]
     watched: list[VirtualVehicle] = []
 
-    def undergoes() -> Load | Tilt | None:
+    def undergoes() -> Action | None:
         for each in watched:
             watch(each)
         return carried(daemon.loop.asked)

@@ -1,4 +1,4 @@
-"""The person beside a virtual vehicle: reads the daemon's announcements and puts on the loads that they ask for.
+"""The person beside a virtual vehicle: reads the daemon's announcements and does what they ask for.
 
 Only the daemon knows when an experiment wants its load, and nothing on the bus says so. So this reads the same state as
 the screen in front of a real person does, and is as late as a quick one.
@@ -7,25 +7,35 @@ the screen in front of a real person does, and is as late as a quick one.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from upright.service.control.clients import api
-from upright.simulation.physics.load import Load, Tilt
-from upright.vehicles.sections import LoadSection, TiltSection
+from upright.simulation.physics.load import Action, Load, Spin, Tilt
+from upright.vehicles.sections import Asked, LoadSection, SpinSection, TiltSection
 
 LOOK = 0.2
 """s between two looks at the daemon's state."""
 
+DOES: Mapping[str, Callable[[Mapping[str, Any]], Action]] = {
+    "load": lambda asked: Load(asked["torque"], asked["ramp"]),
+    "tilt": lambda asked: Tilt(asked["duration"]),
+    "spin": lambda asked: Spin(asked["up"]),
+}
+"""What a person does who is asked for it in the daemon's state."""
 
-def carried(asked: LoadSection | TiltSection | None) -> Load | Tilt | None:
+
+def carried(asked: Asked | None) -> Action | None:
     """What a virtual vehicle undergoes when its daemon asks for `asked`."""
     match asked:
         case LoadSection():
             return Load(asked.torque, asked.ramp)
         case TiltSection():
             return Tilt(asked.duration)
+        case SpinSection():
+            return Spin(asked.up)
     return None
 
 
@@ -35,9 +45,9 @@ class Passenger:
 
     def __init__(self, sockets: Sequence[Path]) -> None:
         self._sockets = list(sockets)
-        self._load: Load | Tilt | None = None
+        self._load: Action | None = None
 
-    def __call__(self) -> Load | Tilt | None:
+    def __call__(self) -> Action | None:
         return self._load
 
     def look(self) -> None:
@@ -46,8 +56,7 @@ class Passenger:
             status = list(api.call(self._sockets, {"verb": "status"}, timeout=1.0))[-1].get("status") or {}
         except (api.ApiError, ValueError):
             status = {}
-        load, tilt = status.get("load"), status.get("tilt")
-        self._load = Load(load["torque"], load["ramp"]) if load else Tilt(tilt["duration"]) if tilt else None
+        self._load = next((does(status[key]) for key, does in DOES.items() if status.get(key)), None)
 
 
 @contextmanager

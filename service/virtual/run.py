@@ -161,7 +161,7 @@ class ClosedLoop:
 
         Raises VirtualRunError if an interlock prevents it, or if it is not finished after `limit` s.
         """
-        interlocks = self.loop.interlocks()
+        interlocks = self.loop.obstacles(name)
         if interlocks:
             raise VirtualRunError(name, " ".join(interlocks).rstrip("."))
         run = self.loop.start_experiment(name)

@@ -21,7 +21,7 @@ from upright.simulation import runner
 from upright.simulation.config import SimulationConfig
 from upright.simulation.faults import Fault
 from upright.simulation.physics.disturbance import Disturbance
-from upright.simulation.physics.load import Load, Tilt
+from upright.simulation.physics.load import Action
 from upright.simulation.vehicle import VirtualVehicle
 from upright.vehicles.sections import VehicleFile
 
@@ -63,7 +63,7 @@ def virtual_vehicle_beside(
     *,
     punctual: bool = True,
     disturbance: Disturbance | None = None,
-    load: Callable[[], Load | Tilt | None] = runner.nothing,
+    load: Callable[[], Action | None] = runner.nothing,
     configure: Callable[[SimulationConfig], SimulationConfig] = lambda configuration: configuration,
     faults: Sequence[Fault] = (),
 ) -> Iterator[VirtualVehicle]:

@@ -9,14 +9,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 from upright.drivers.bus.address import connect
 from upright.drivers.cia402.config import find_eds
 from upright.simulation import runner
-from upright.simulation.config import DriveNode, ImuNode, SimulationConfig
+from upright.simulation.config import DriveNode, ImuNode, SimulationConfig, SpeedNode
 from upright.simulation.faults import Fault
 from upright.simulation.physics.disturbance import Disturbance
-from upright.simulation.physics.load import Load, Tilt
+from upright.simulation.physics.load import Action
 from upright.simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
 from upright.simulation.runner import RunStatistics
 from upright.vehicles import registry
@@ -81,6 +82,7 @@ def configuration(
     return SimulationConfig(
         drives=drives,
         imu=node,
+        speeds=[SpeedNode(each.can_id, each.start_byte, each.layout, each.unit) for each in vehicle.observed],
         plant=twin.truth,
         rate=vehicle.control.rate,
         seed=seed,
@@ -91,6 +93,12 @@ def configuration(
     )
 
 
+def before_commissioning(vehicle: VehicleFile) -> Callable[[SimulationConfig], SimulationConfig]:
+    """What a virtual vehicle is like before it is commissioned: its flywheels stand if an experiment spins them up."""
+    spun_up = any(each.spin is not None and each.spin.up for each in vehicle.experiments.values())
+    return lambda configuration: replace(configuration, flywheels_stand=spun_up)
+
+
 def run(
     config: SimulationConfig,
     drives: str,
@@ -99,7 +107,7 @@ def run(
     stop: threading.Event,
     lock_step: bool = False,
     faults: Sequence[Fault] = (),
-    load: Callable[[], Load | Tilt | None] = runner.nothing,
+    load: Callable[[], Action | None] = runner.nothing,
 ) -> RunStatistics:
     """Run a virtual vehicle on the buses at the addresses `drives` and `imu` (IFACE:CHANNEL) until `stop` is set.
     `load()` is asked every cycle what is on the vehicle.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from upright.simulation.bus.drive_application import DriveApplication
 from upright.simulation.config import DriveNode
-from upright.simulation.physics.load import LoadTorque
+from upright.simulation.physics.load import Action, LoadTorque, Spin
 from upright.telemetry.samples import Vector3
 
 Motion = tuple[float, ...]
@@ -46,6 +46,16 @@ class Machine(ABC):
         """Integrate `steps` steps."""
         for _ in range(steps):
             self.step()
+
+    @property
+    def speeds(self) -> Sequence[float]:
+        """rad/s of its flywheels, positive as each has to turn; none of a machine without."""
+        return ()
+
+    def undergo(self, action: Action | None) -> None:
+        """Somebody does this from now on, or lets go (None)."""
+        if not isinstance(action, Spin):
+            self.load.carry(action)
 
     def restart_disturbance(self) -> None:  # noqa: B027 - a machine without a random part has nothing to restart
         """Restart the random disturbance: what follows depends on the seed alone."""

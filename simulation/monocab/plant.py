@@ -18,11 +18,13 @@ from typing import ClassVar
 from upright.simulation.bus.drives.servo_drive import ServoDrive
 from upright.simulation.bus.machine import Machine, Motion
 from upright.simulation.config import DriveNode, SimulationConfig
+from upright.simulation.monocab.flywheel import Flywheel
 from upright.simulation.monocab.gimbal import Gimbal
 from upright.simulation.monocab.roll_effects import roll_effects
 from upright.simulation.monocab.truth import PlantTruth
 from upright.simulation.physics.contact import Supports
 from upright.simulation.physics.input_effects import input_effects
+from upright.simulation.physics.load import Action, Spin
 from upright.simulation.physics.servo_axis import AxisMode, ServoAxis
 from upright.simulation.registry import check_onsets
 from upright.telemetry.samples import Vector3
@@ -72,6 +74,13 @@ class Plant(Machine):
             encoder_step=_per_turn(config.drives, "trim", 0, DEFAULT_TRIM_PER_TURN) / truth.encoder_increments_per_turn,
             step=step,
         )
+        nominal = 0.5 * truth.angular_momentum / truth.flywheel_inertia
+        running = not config.flywheels_stand
+        self.flywheels = tuple(
+            Flywheel(truth.flywheel_inertia, nominal, nominal if running else 0.0, on=running) for _ in self.gimbals
+        )
+        if not running:
+            self._carry_momentum()
         self.supports = Supports(truth.support_angle, truth.support_stiffness, truth.support_damping)
         self.roll = self.supports.resting_roll(truth.gravity_stiffness)
         self.roll_rate = 0.0
@@ -97,6 +106,27 @@ class Plant(Machine):
     def precession_rate(self) -> float:
         """rad/s, mean of the gimbals."""
         return 0.5 * (self.gimbals[0].rate + self.gimbals[1].rate)
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        return tuple(flywheel.speed for flywheel in self.flywheels)
+
+    def undergo(self, action: Action | None) -> None:
+        super().undergo(action)
+        if isinstance(action, Spin):
+            for flywheel in self.flywheels:
+                flywheel.on = action.up
+
+    def advance(self, steps: int) -> None:
+        if not all(flywheel.steady for flywheel in self.flywheels):
+            for flywheel in self.flywheels:
+                flywheel.advance(steps * self.step_size)
+            self._carry_momentum()
+        super().advance(steps)
+
+    def _carry_momentum(self) -> None:
+        for gimbal, flywheel in zip(self.gimbals, self.flywheels, strict=True):
+            gimbal.momentum = flywheel.inertia * flywheel.speed
 
     def application(self, node: DriveNode, number: int) -> ServoDrive:
         return ServoDrive(node, self.gimbals[number].axis if node.role == "gimbal" else self.trim)

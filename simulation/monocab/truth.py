@@ -19,6 +19,8 @@ class PlantTruth:
     """N m/rad: mass x gravity x height of the centre of gravity."""
     angular_momentum: float = 3300.0
     """N m s, both flywheels together."""
+    flywheel_inertia: float = 2.626
+    """kg m^2 of each flywheel about its axis of rotation: 6,000 rpm at half the angular momentum."""
     gimbal_inertia: float = 60.0
     """kg m^2 about the precession axes, both gimbals with their reflected rotors."""
     gimbal_time_constant: float = 0.01

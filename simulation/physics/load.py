@@ -1,6 +1,7 @@
-"""What somebody does to a virtual vehicle: a load that is put on and taken off again, or a tilt by hand.
+"""What somebody does to a virtual vehicle: a load that is put on and taken off again, a tilt by hand, and switching the
+flywheels.
 
-Both are a torque about the axis that the vehicle falls about.
+Load and tilt are a torque about the axis that the vehicle falls about.
 """
 
 from __future__ import annotations
@@ -22,6 +23,17 @@ class Tilt:
     """Over to the other side by hand within `duration` s, as far as the vehicle leans now; then it is let go."""
 
     duration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spin:
+    """The flywheels' inverters are switched on (`up`) or off; they stay so."""
+
+    up: bool
+
+
+Action = Load | Tilt | Spin
+"""What somebody does."""
 
 
 HAND = 2.0 * pi * 1.5

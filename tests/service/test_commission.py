@@ -284,22 +284,22 @@ class TestModel:
 
 class TestRecord:
     def test_it_is_kept_in_the_data_folder(self, tmp_path: Path) -> None:
-        record = Record.read(tmp_path, "monocab").with_next(Entry(step="bus", state=State.ACCEPTED))
+        record = Record.read(tmp_path, load("monocab")).with_next(Entry(step="bus", state=State.ACCEPTED))
         record.write(tmp_path)
-        (found,) = Record.read(tmp_path, "monocab").entries
+        (found,) = Record.read(tmp_path, load("monocab")).entries
         assert (found.step, found.state) == ("bus", State.ACCEPTED)
         assert found.date
 
     def test_a_broken_file_is_refused_with_the_remedy(self, tmp_path: Path) -> None:
         (tmp_path / "commissioning.json").write_text("[{")
         with pytest.raises(RecordError, match=r"cannot be read.*Move it away"):
-            Record.read(tmp_path, "monocab")
+            Record.read(tmp_path, load("monocab"))
 
     def test_a_folder_that_cannot_be_written_loses_nothing_silently(self, tmp_path: Path) -> None:
         place = tmp_path / "file"
         place.write_text("")
         with pytest.raises(RecordError, match="not in the record"):
-            Record.read(tmp_path, "monocab").with_next(Entry()).write(place)
+            Record.read(tmp_path, load("monocab")).with_next(Entry()).write(place)
 
 
 class TestCommandLine:

@@ -127,5 +127,8 @@ class Cube:
     def interlocks(self, drives: WheelMeasurement) -> list[str]:
         return []
 
+    def obstacles(self, drives: WheelMeasurement) -> list[str]:
+        return []
+
     def pilot(self) -> CubePilot:
         return CubePilot(self._vehicle, design(self._vehicle))

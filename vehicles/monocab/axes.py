@@ -1,4 +1,4 @@
-"""The MONOCAB's gimbals and trim mass: what their drives report, as one measurement a cycle.
+"""The MONOCAB's gimbals, trim mass and flywheels: what is reported of them, as one measurement a cycle.
 
 Sign: a positive precession rate gives a positive roll torque; each drive's `direction` maps its motor onto that.
 """
@@ -8,8 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from upright.drivers.vehicle_io import VehicleIo
+from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.monocab.flywheels import FlywheelMeasurement, Flywheels
 
 NAN = float("nan")
+NOTHING_KNOWN = FlywheelMeasurement(NAN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +29,18 @@ class GimbalMeasurement:
     gimbal_mismatch: float
     trim_position: float
     trim_rate: float
+    flywheels: FlywheelMeasurement = NOTHING_KNOWN
 
 
 NOTHING_MEASURED = GimbalMeasurement(0, NAN, NAN, NAN, NAN, NAN)
 
 
 class Gimbals:
-    """The gimbals, which precess together, and the trim mass if there is one."""
+    """The gimbals, which precess together, the trim mass if there is one, and what the flywheels report."""
 
-    def __init__(self, io: VehicleIo) -> None:
+    def __init__(self, vehicle: MonocabFile, io: VehicleIo) -> None:
         self._io = io
+        self.flywheels = Flywheels(vehicle, io)
         self._gimbals = io.role("gimbal")
         self._trim = next(iter(io.role("trim")), None)
 
@@ -54,6 +59,7 @@ class Gimbals:
             max(positions) - min(positions),
             trim.position if trim is not None else 0.0,
             trim.velocity if trim is not None else 0.0,
+            self.flywheels.measure(timestamp_ns),
         )
 
     @property

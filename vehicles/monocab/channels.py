@@ -54,5 +54,11 @@ CHANNELS = ChannelTable(
         ),
         EXCITATION,
         PHASE,
+        Channel(
+            "angular_momentum",
+            "N m s",
+            "of the flywheels together, from their measured speeds; the vehicle file's where these are not measured",
+            newer=True,
+        ),
     )
 )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Self
+from math import tau
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
+from upright.drivers.observed_speed import Layout, SpeedConfig
 from upright.vehicles.sections import (
     CONTROLLER_OUTPUT,
     REST,
+    CanId,
     ControllerSection,
     LimitsSection,
     NotNegative,
@@ -17,6 +20,7 @@ from upright.vehicles.sections import (
     ParametersSection,
     Positive,
     Role,
+    Section,
     VehicleFile,
     up_to,
 )
@@ -93,6 +97,37 @@ class MonocabCad(ParametersSection):
     """Of the trim mass, if it is not the gimbals' `speed_loop_lag`."""
 
 
+class Flywheel(Section):
+    """A flywheel whose own inverter reports its speed on the bus of the drives. It is read, and never commanded."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
+    can_id: CanId
+    """Of the frame with its speed, usually a TPDO of its inverter."""
+    start_byte: Annotated[int, Field(ge=0, le=7)] = 0
+    """Where the speed is in that frame; little-endian."""
+    layout: Layout = "int32"
+    velocity_unit_rpm: Positive
+    """rpm of the flywheel per count."""
+    direction: Literal[1, -1]
+    """+1 if a positive count is the direction in which this flywheel has to turn."""
+    inertia: ParameterEntry
+    """kg m^2, about its axis of rotation."""
+
+    @model_validator(mode="after")
+    def _fits_into_a_frame(self) -> Self:
+        if self.speed.size > 8:
+            raise ValueError(f"{self.name}: an {self.layout} from byte {self.start_byte} on is not within 8 bytes")
+        if self.inertia.unit != "kg m^2" or self.inertia.value <= 0.0:
+            raise ValueError(f"{self.name}: the inertia is in kg m^2, and above 0")
+        return self
+
+    @property
+    def speed(self) -> SpeedConfig:
+        """How its speed is read."""
+        unit = self.direction * self.velocity_unit_rpm * tau / 60.0
+        return SpeedConfig(self.name, self.can_id, self.start_byte, self.layout, unit)
+
+
 class MonocabController(ControllerSection):
     """Weights of the LQI design, and the lean that brings the gimbals back; see `control.controller`."""
 
@@ -136,6 +171,25 @@ class MonocabFile(VehicleFile):
     parameters: MonocabCad
     controller: MonocabController
     full_controller: MonocabFullController = MonocabFullController()
+    flywheel: Annotated[list[Flywheel], Field(default_factory=list)]
+    """The flywheels whose speed is on the bus: all of them or none, since together they are the angular momentum."""
+
+    @model_validator(mode="after")
+    def _flywheels_can_be_observed(self) -> Self:
+        if any(each.spin is not None for each in self.experiments.values()) and not self.flywheel:
+            raise ValueError("an experiment with spin observes the flywheels: add a [[flywheel]] section for each")
+        if len({each.name for each in self.flywheel}) != len(self.flywheel):
+            raise ValueError("flywheel: two flywheels have the same name")
+        return self
+
+    @property
+    def observed(self) -> tuple[SpeedConfig, ...]:
+        return tuple(each.speed for each in self.flywheel)
+
+    @property
+    def flywheel_speed(self) -> float:
+        """rad/s at which the flywheels together have the file's angular momentum."""
+        return self.parameters.angular_momentum.value / sum(each.inertia.value for each in self.flywheel)
 
     @model_validator(mode="after")
     def _full_controller_has_a_trim_mass(self) -> Self:

@@ -20,6 +20,7 @@ from upright.vehicles.monocab.control.controller import design
 from upright.vehicles.monocab.control.full import full_if_used
 from upright.vehicles.monocab.control.roll_design import RollDesign
 from upright.vehicles.monocab.file import FULL, MonocabFile
+from upright.vehicles.monocab.flywheels import SLOW
 from upright.vehicles.monocab.handling import GimbalHandling
 from upright.vehicles.monocab.watch import MonocabWatch
 
@@ -40,6 +41,7 @@ class MonocabCode(StrEnum):
     FALLEN = "fallen"
     RECOVERY = "recovery"
     TORQUE_BALANCE = "torque_balance"
+    FLYWHEELS = "flywheels"
 
 
 METRES, PERCENT = Unit("m", digits=3), Unit("%", 100.0, digits=0)
@@ -142,6 +144,15 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
             advice="check that the trim mass moves freely, and its drive",
         ),
         Bound(
+            MonocabCode.FLYWHEELS,
+            "the flywheels have lost speed: angular momentum that is missing",
+            "axes.flywheels.missing",
+            SLOW,
+            PERCENT,
+            When.UPRIGHT,
+            advice="check the inverters of the flywheels",
+        ),
+        Bound(
             MonocabCode.PRECESSION_BUDGET,
             "precession budget used up",
             "axes.precession",
@@ -193,7 +204,7 @@ class Monocab:
         self.watch = MonocabWatch(vehicle, io)
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
-        self._gimbals = Gimbals(io)
+        self._gimbals = Gimbals(vehicle, io)
         self.measure = self._gimbals.measure
 
     def lean(self, attitude: RollState) -> Lean:
@@ -220,6 +231,7 @@ class Monocab:
             command.reference,
             command.excitation,
             phase,
+            drives.flywheels.angular_momentum,
         )
 
     def interlocks(self, drives: GimbalMeasurement) -> list[str]:
@@ -227,6 +239,9 @@ class Monocab:
         if mismatch > 0.5 * self._vehicle.limits.gimbal_mismatch_deg:
             return [f"The gimbals differ by {mismatch:.1f} deg: turn them to the same angle."]
         return []
+
+    def obstacles(self, drives: GimbalMeasurement) -> list[str]:
+        return self._gimbals.flywheels.obstacles(drives.flywheels)
 
     def pilot(self) -> GimbalPilot:
         vehicle = self._vehicle

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from upright.vehicles.contract import Models, Prediction, Twin, VehicleKind
@@ -59,10 +60,17 @@ def _twin() -> Twin:
 
 
 def _evaluations() -> dict[str, Measure]:
+    from upright.vehicles.monocab.identification.flywheels import run_down, spin_up
     from upright.vehicles.monocab.identification.static_torque import static_torque
     from upright.vehicles.monocab.identification.trim_effect import trim_effect
 
-    return {"static_torque": static_torque, "trim_effect": trim_effect}
+    return {"spin_up": spin_up, "run_down": run_down, "static_torque": static_torque, "trim_effect": trim_effect}
+
+
+def _measured(vehicle: MonocabFile, recordings: Sequence[Recording]) -> Mapping[str, tuple[float, float]]:
+    from upright.vehicles.monocab.identification.flywheels import measured
+
+    return measured(vehicle, recordings)
 
 
 KIND = VehicleKind(
@@ -78,4 +86,5 @@ KIND = VehicleKind(
     twin=_twin,
     shaken=(2.0, 20.0),
     evaluations=_evaluations,
+    measured=_measured,
 )

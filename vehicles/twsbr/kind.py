@@ -137,5 +137,8 @@ class Twsbr:
     def interlocks(self, drives: WheelMeasurement) -> list[str]:
         return []
 
+    def obstacles(self, drives: WheelMeasurement) -> list[str]:
+        return []
+
     def pilot(self) -> WheelPilot:
         return WheelPilot(self._vehicle, self._wheels)

@@ -66,7 +66,7 @@ class Commands:
         self._data = data
         self.adopted = History.read(data)
         """The parameters for which the controllers are and were designed."""
-        self.record = Record.read(data, vehicle.vehicle.kind)
+        self.record = Record.read(data, vehicle)
         """What was done of the commissioning."""
         self._published: dict[str, Any] = {}
         self._told: Message = {}
@@ -204,7 +204,7 @@ class Commands:
             there = ", ".join(self._vehicle.experiments)
             yield result(ExitCode.USAGE, "unknown_experiment", f"No experiment {name!r}; this vehicle has {there}.")
             return
-        interlocks = self._loop.interlocks()
+        interlocks = self._loop.obstacles(name)
         if interlocks:
             yield result(ExitCode.REFUSED, "interlock", " ".join(interlocks), interlocks=interlocks)
             return

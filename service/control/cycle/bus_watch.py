@@ -16,6 +16,8 @@ MANY = 32
 """Ids of strangers that are told apart; further ones are counted together."""
 SERVICES = (0x080, 0x580, HEARTBEAT_COB_ID)
 """What every CANopen node may send beyond its process data: emergency, SDO answer, heartbeat; added to its number."""
+REPORTS = (0x180, 0x280, 0x380, 0x480)
+"""Its process data: of a node of which one speed is read, the others are nobody's concern, and no stranger's."""
 LSS, TIME = 0x7E4, 0x100
 
 OTHERS = "others"
@@ -27,7 +29,9 @@ class BusWatch:
 
     def __init__(self, io: VehicleIo, event: Callable[[str, str, str], None]) -> None:
         nodes = {drive.config.node for drive in io.drives} | {can_id & 0x7F for can_id in io.imu.can_ids[:1]}
-        self._known = {service + node for service in SERVICES for node in nodes} | {LSS, TIME}
+        observed = {speed.config.can_id & 0x7F for speed in io.speeds}
+        self._known = {service + node for service in SERVICES for node in nodes | observed} | {LSS, TIME}
+        self._known |= {report + node for report in REPORTS for node in observed}
         self._event = event
         self._frames: dict[str, int] = {}
         self._errors = LossTest(in_a_row=ENDLESS)

@@ -41,7 +41,7 @@ from upright.vehicles import registry
 from upright.vehicles.bounds import OK, Code, Reaction, Verdict
 from upright.vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
 from upright.vehicles.experiment.phases import BALANCING, POWERED, UPRIGHT, Phase
-from upright.vehicles.sections import LoadSection, TiltSection, VehicleFile
+from upright.vehicles.sections import Asked, LoadSection, SpinSection, TiltSection, VehicleFile
 
 SYNC = 0x080
 HEARTBEAT = 0x700
@@ -176,7 +176,7 @@ class ControlLoop:
         self._late_cycles = 0
         self._answers_due = False
         self._phase = Phase.NONE
-        self._asked: LoadSection | TiltSection | None = None
+        self._asked: Asked | None = None
         self._failure_logged = False
         self._end_code = ""
         self._stop_check = StopCheck(
@@ -409,7 +409,7 @@ class ControlLoop:
             asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
 
     def start_experiment(self, name: str, client: str = "") -> ExperimentRun:
-        """Start an experiment and its recording, which names `client`. Only allowed while `interlocks()` is empty."""
+        """Start an experiment and its recording, which names `client`. Only without `obstacles(name)`."""
         self.foreign.forget()
         self._end_code = "done"
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
@@ -454,7 +454,7 @@ class ControlLoop:
         return self._last_ns + round(self._silence * 1e9)
 
     @property
-    def asked(self) -> LoadSection | TiltSection | None:
+    def asked(self) -> Asked | None:
         """What a person has been asked to do to the vehicle."""
         return self._asked
 
@@ -468,8 +468,15 @@ class ControlLoop:
         """Whether the drives still have to confirm that they are off."""
         return not self._stop_check.over
 
+    def obstacles(self, name: str) -> list[str]:
+        """The reasons that prevent the experiment of this name: the interlocks, and what keeps the vehicle down."""
+        found = self.interlocks()
+        if found or not self.vehicle.experiments[name].gets_up:
+            return found
+        return self.kind.obstacles(self.drives)
+
     def interlocks(self) -> list[str]:
-        """The reasons that prevent an experiment, as sentences; empty if there are none."""
+        """The reasons that prevent every experiment, as sentences; empty if there are none."""
         match self.mode:
             case Mode.RUNNING:
                 return [f"{self.reason} is running."]
@@ -585,6 +592,7 @@ class ControlLoop:
             "phase": self._phase.name.lower(),
             "load": _told(self._asked, LoadSection, "torque", "ramp"),
             "tilt": _told(self._asked, TiltSection, "duration"),
+            "spin": _told(self._asked, SpinSection, "up"),
             "code": self.code,
             "reason": self.reason,
             "interlocks": self.interlocks(),
@@ -606,11 +614,11 @@ class ControlLoop:
         if self._recording and mode is not Mode.FAULT:
             self._end_recording()
 
-    def _announce(self, asked: LoadSection | TiltSection | None) -> None:
+    def _announce(self, asked: Asked | None) -> None:
         """Ask a person for something: people see it on every screen, and a virtual vehicle undergoes it."""
         self._asked = asked
         if asked is not None:
-            self._observer.event("info", "load" if isinstance(asked, LoadSection) else "tilt", asked.announcement)
+            self._observer.event("info", _ASKED[type(asked)], asked.announcement)
         self.on_change()
 
     def _begin_recording(self) -> None:
@@ -670,8 +678,10 @@ def _in_words(error: Exception) -> str:
     )
 
 
-def _told(
-    asked: LoadSection | TiltSection | None, kind: type[LoadSection | TiltSection], *keys: str
-) -> dict[str, Any] | None:
+_ASKED: Mapping[type[Asked], str] = {LoadSection: "load", TiltSection: "tilt", SpinSection: "spin"}
+"""The code of the event that asks a person for it."""
+
+
+def _told(asked: Asked | None, kind: type[Asked], *keys: str) -> dict[str, Any] | None:
     """What a person has been asked to do, for the state, if it is of this `kind`."""
     return asked.model_dump(include={*keys, "announcement"}) if isinstance(asked, kind) else None

@@ -20,7 +20,7 @@ from upright.drivers.cia402.states import State
 from upright.vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
 from upright.vehicles.experiment.excitation import Excitation, make_excitation
 from upright.vehicles.experiment.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
-from upright.vehicles.sections import REST, LoadSection, TiltSection, VehicleFile
+from upright.vehicles.sections import REST, Asked, VehicleFile
 
 AT_REST_ANGLE = 0.0175
 """rad (1 deg): tolerance of the angle for resting on a support."""
@@ -46,7 +46,7 @@ class Plan:
     handling: Handling[Any]
     support: float
     angle: str
-    asks: LoadSection | TiltSection | None
+    asks: Asked | None
     gets_up: bool
     powered: bool
     silence: float
@@ -81,7 +81,7 @@ class ExperimentRun:
         self.failure = ""
         self.end_reason = ""
         self.done = False
-        self.asked: LoadSection | TiltSection | None = None
+        self.asked: Asked | None = None
         self._plan = plan
         self._handling = plan.handling
         self._phase_time = 0.0

@@ -56,7 +56,7 @@ export class Commissioning {
 
   state(state) {
     this.experiments.state(state);
-    text(this.alert, (state.mode === "running" && (state.load ?? state.tilt)?.announcement) || "");
+    text(this.alert, (state.mode === "running" && (state.load ?? state.tilt ?? state.spin)?.announcement) || "");
     this.refresh();
   }
 

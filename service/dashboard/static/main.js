@@ -76,7 +76,7 @@ function showState(state) {
   const mode = $("mode");
   text(mode, state.mode);
   mode.dataset.kind = { fault: "bad", running: "active", disarmed: "good" }[state.mode] ?? "warn";
-  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${(state.load ?? state.tilt)?.announcement ?? state.phase}` : named(state.reason || ""));
+  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${(state.load ?? state.tilt ?? state.spin)?.announcement ?? state.phase}` : named(state.reason || ""));
   showLink();
   each("state", state);
 }

@@ -236,7 +236,7 @@ def check_adopted(path: Path) -> None:
 
 def check_record(path: Path) -> None:
     path.rename(path.with_name("commissioning.json"))
-    Record.read(path.parent, "monocab").to_json()
+    Record.read(path.parent, load("monocab")).to_json()
 
 
 def check_result(path: Path) -> None:
