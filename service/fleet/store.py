@@ -81,6 +81,7 @@ class Store:
         """
         own = "" if besides is None else os.path.abspath(besides)
         try:
+            self.files.invalidate_cache()  # a listing that was kept from earlier may be of files as they were
             paths = {path.removeprefix(self.root).lstrip("/"): path for path in sorted(self.files.find(self.root))}
             found = [self._stored(name, files) for name, files in _grouped(paths) if files != [own]]
         except Exception as error:  # each kind of store fails in its own way

@@ -181,6 +181,52 @@ def test_recordings_of_an_object_store_are_read_and_need_no_other_process_to_see
         memory.rm("/bucket", recursive=True)
 
 
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A bucket on a server that speaks the protocol of S3 over HTTP: moto stands in for Amazon's own."""
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        for key, value in {
+            "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+            "AWS_ACCESS_KEY_ID": "nobody",
+            "AWS_SECRET_ACCESS_KEY": "nothing",
+            "AWS_DEFAULT_REGION": "us-east-1",
+        }.items():
+            monkeypatch.setenv(key, value)
+        yield "s3://test-track/runs"
+    finally:
+        server.stop()
+
+
+def test_recordings_in_a_bucket_are_read_by_the_workers_and_again_only_where_they_changed(
+    made: Path, runs: Path, bucket: str, tmp_path: Path
+) -> None:
+    import s3fs
+
+    files = s3fs.S3FileSystem(skip_instance_cache=True)
+    files.mkdir("test-track")
+    for path in runs.rglob("*.csv"):
+        files.pipe(f"{bucket}/{path.relative_to(runs)}", path.read_bytes())
+    out = tmp_path / "fleet.parquet"
+    found = fleet(Store.of(bucket), out, settings(made), processes(2))
+    assert [row.recording for row in found.failures] == ["c/1.csv"]
+    assert by_name(out)["a/1.csv"].verdict == "adequate"
+
+    files.pipe(f"{bucket}/a/1.csv", (runs / "b/1.csv").read_bytes())
+    again = fleet(Store.of(bucket), out, settings(made), processes(2))
+    assert again.skipped == 2, "all but the one that changed and the one that failed"
+    assert by_name(out)["a/1.csv"].sha256 == by_name(out)["b/1.csv"].sha256
+
+
+def test_a_bucket_that_is_not_there_is_said(bucket: str) -> None:
+    with pytest.raises(StoreError, match=r"cannot be listed .*Check the path, its permissions, and the credentials"):
+        Store.of("s3://nowhere/runs").recordings()
+
+
 def test_recordings_of_an_archive_are_read_by_the_workers(made: Path, runs: Path, tmp_path: Path) -> None:
     archive = shutil.make_archive(str(tmp_path / "runs"), "zip", runs)
     found = fleet(Store.of(f"zip://::{archive}"), tmp_path / "out.parquet", settings(made), processes(2), only="?/*")
