@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from closed_loop import ClosedLoop
+from flywheels import with_flywheels
 from typer.testing import CliRunner
 
 from upright.service.cli import app
@@ -24,6 +25,7 @@ from upright.service.control.daemon import Places
 from upright.service.virtual import daemon as virtual_daemon
 from upright.service.virtual.daemon import daemon_beside
 from upright.service.virtual.run import record
+from upright.service.virtual.vehicle import before_commissioning
 from upright.simulation.config import SimulationConfig
 from upright.telemetry import storage
 from upright.telemetry.candump import format_frames
@@ -229,6 +231,21 @@ class TestGuide:
             with pytest.raises(CommissioningError, match="needs tilt first"):
                 guide.carry_out("silence")
             assert all("silence" not in each.name for each in tmp_path.iterdir())
+
+    def test_flywheels_are_watched_as_they_spin_up_and_run_down(self, tmp_path: Path) -> None:
+        vehicle = with_flywheels(tmp_path)
+        with guided(tmp_path, told=vehicle, truth=vehicle, configure=before_commissioning(vehicle)) as guide:
+            for name in ("bus", "imu", "tilt", "silence", "drives"):
+                guide.skip(name, "another test does it")
+            with pytest.raises(CommissioningError, match="needs spin_up first"):
+                guide.carry_out("step")
+            up = guide.carry_out("spin_up")
+            assert up.state is State.ACCEPTED, up
+            assert up.numbers["angular_momentum"].value == pytest.approx(3300.0, abs=5.0)
+            assert guide.carry_out("run_down").state is State.ACCEPTED
+            entry = guide.carry_out("step")
+        assert entry.state is State.FAILED
+        assert "The flywheels turn too slowly" in entry.reason
 
     def test_a_refused_experiment_is_in_the_record_with_its_reason(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -60,9 +60,11 @@ class Flywheels:
     def obstacles(self, measured: FlywheelMeasurement) -> list[str]:
         """What of the flywheels prevents the vehicle from getting up, each as a sentence with the remedy."""
         if measured.silent:
+            short = sum(each.wrong_lengths for each in self._io.speeds if each.config.name == measured.silent)
+            frames = f" ({short} frames with its can_id were too short)" if short else ""
             return [
-                f"{measured.silent} does not report its speed: switch its inverter on, and check can_id of its"
-                " [[flywheel]] section and the inverter's PDO mapping."
+                f"{measured.silent} does not report its speed{frames}: switch its inverter on, and check can_id and"
+                " start_byte of its [[flywheel]] section against the inverter's PDO mapping."
             ]
         if abs(measured.missing) <= SLOW:
             return []

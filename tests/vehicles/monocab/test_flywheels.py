@@ -10,29 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from flywheels import with_flywheels
 
 from upright.drivers.observed_speed import ObservedSpeed, SpeedConfig
+from upright.service.control import assembly
 from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.rows import rows_from_frames
 from upright.service.offline.identify import identified
 from upright.service.virtual.run import ClosedLoop, VirtualRunError, record
 from upright.simulation.bus.object_dictionary import SimulationError
 from upright.simulation.config import SimulationConfig
 from upright.telemetry.samples import CanFrame
+from upright.vehicles import registry
 from upright.vehicles.commissioning import is_within, steps_for
 from upright.vehicles.file import VehicleFile, VehicleFileError, load
 from upright.vehicles.monocab.identification.flywheels import measured, run_down, spin_up
 
-MARK = "#: "
 NOMINAL = 6000.0 * tau / 60.0
-
-
-def with_flywheels(folder: Path, change: Callable[[str], str] = lambda text: text) -> VehicleFile:
-    """The shipped vehicle with the sections that are there as comments."""
-    lines = Path(load("monocab").path).read_text("utf-8").splitlines()
-    text = "\n".join(line.removeprefix(MARK.rstrip()).lstrip() if line.startswith("#:") else line for line in lines)
-    path = folder / "vehicle.toml"
-    path.write_text(change(text), "utf-8")
-    return load(path)
 
 
 def standing(configuration: SimulationConfig) -> SimulationConfig:
@@ -116,6 +110,20 @@ def test_flywheels_are_spun_up_hold_the_vehicle_and_run_down(tmp_path: Path) -> 
     assert any("too slowly" in each for each in closed.loop.obstacles("hold"))
 
 
+def test_the_angular_momentum_of_a_raw_log_is_that_of_the_recording(tmp_path: Path) -> None:
+    vehicle, frames = with_flywheels(tmp_path), list[CanFrame]()
+    closed = ClosedLoop(vehicle, configure=standing, log=frames.append)
+    closed.run("spin_up")
+    recording = closed.recording("spin_up")
+    (_, start_ns), io = closed.witness.recordings[-1], assembly.vehicle_io(vehicle)
+    kind = registry.kind_of(vehicle, io)
+    logged = [frame for frame in frames if frame.timestamp_ns >= start_ns]
+    place = assembly.channels(vehicle).index_of("angular_momentum")
+    again = [row.values[place] for row in rows_from_frames(logged, io, kind, assembly.roll_filter(vehicle), start_ns)]
+    assert len(recording) > 10_000
+    assert again[: len(recording)] == pytest.approx(recording["angular_momentum"], abs=0.0)
+
+
 def test_flywheels_that_lose_their_drive_end_a_run_in_order_before_the_vehicle_falls(tmp_path: Path) -> None:
     closed = ClosedLoop(with_flywheels(tmp_path))
     closed.loop.start_experiment("sine_stream")
@@ -144,7 +152,9 @@ def test_a_flywheel_that_turns_the_wrong_way_and_one_that_is_silent_are_named(tm
     closed.advance(1.5)
     (refusal,) = closed.loop.obstacles("hold")
     assert refusal.startswith("flywheel_right does not report its speed")
-    with pytest.raises(VirtualRunError, match="does not report its speed"):
+    for _ in range(3):
+        closed.loop.io.handle(CanFrame(1, 0x195, b"\x01"))
+    with pytest.raises(VirtualRunError, match=r"does not report its speed \(3 frames with its can_id were too short\)"):
         closed.run("hold")
 
 
