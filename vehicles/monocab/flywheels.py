@@ -20,8 +20,8 @@ SILENT = 1.0
 """s without a report after which the speed of a flywheel counts as not known. A flywheel loses some permille within
 it, and inverters that report more seldom are of no use here."""
 SLOW = 0.1
-"""Share of the angular momentum that may be missing while the vehicle is up. The scale that the monitors of axes and
-torque balance forgive (`vehicles.watch.SCALE`), and the gain margin of any controller that is accepted is larger."""
+"""Share of the angular momentum that may be missing while the vehicle is up: the scale that the monitors of axes and
+torque balance forgive (`vehicles.watch.SCALE`). With that much missing, the vehicle is still lowered in order."""
 
 
 @dataclass(frozen=True, slots=True)
