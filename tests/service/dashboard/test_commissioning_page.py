@@ -157,7 +157,8 @@ class Vehicle:
     def say(self, **changes: Any) -> None:
         """The state: ready for an experiment, with these changes."""
         ready = {
-            "vehicle": "monocab", "mode": "disarmed", "experiment": None, "phase": "none", "load": None, "tilt": None,
+            "vehicle": "monocab", "mode": "disarmed", "experiment": None, "phase": "none",
+            "load": None, "tilt": None, "spin": None,
             "code": "", "reason": "", "interlocks": [], "faults": [], "version": "0", "since": 1.0, "held_by": None,
             "commands": True,
         }  # fmt: skip
