@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+from flywheels import with_flywheels
 from pydantic import ValidationError
 
 from upright.service.commission.evaluations.table import EVALUATIONS
@@ -15,6 +18,7 @@ from upright.vehicles.commissioning import (
     State,
     Steps,
     is_within,
+    steps_for,
     steps_of,
 )
 from upright.vehicles.file import load
@@ -103,9 +107,13 @@ class TestFiles:
         vehicle, known = load(kind), {*EVALUATIONS, *registry.of(kind).evaluations()}
         for step in steps_of(kind).step:
             assert step.evaluate in known
-            assert not step.experiment or step.experiment in vehicle.experiments
             assert all(text.endswith((".", "?")) for text in (step.why, step.why_now, step.prepare) if text)
             assert all(each.remedy.endswith(".") for each in step.acceptance)
+        assert {step.experiment for step in steps_for(vehicle).step} <= {"", *vehicle.experiments}
+
+    def test_a_vehicle_with_flywheels_has_the_experiments_of_its_steps(self, tmp_path: Path) -> None:
+        vehicle = with_flywheels(tmp_path)
+        assert {step.experiment for step in steps_for(vehicle).step} <= {"", *vehicle.experiments}
 
     def test_a_kind_without_steps_says_where_to_write_them(self) -> None:
         with pytest.raises(CommissioningError, match=r"no steps for a monocab\.control"):
