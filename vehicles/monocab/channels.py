@@ -47,6 +47,12 @@ CHANNELS = ChannelTable(
             "rate sent to the trim drive in this cycle, as quantised in the PDO",
             part=TRIM,
         ),
+        Channel(
+            "angular_momentum",
+            "N m s",
+            "of the flywheels together, from their measured speeds; the vehicle file's where these are not measured",
+            newer=True,
+        ),
         SETPOINT_AGE,
         DRIVE_AGE,
         Channel(
@@ -54,11 +60,5 @@ CHANNELS = ChannelTable(
         ),
         EXCITATION,
         PHASE,
-        Channel(
-            "angular_momentum",
-            "N m s",
-            "of the flywheels together, from their measured speeds; the vehicle file's where these are not measured",
-            newer=True,
-        ),
     )
 )

@@ -226,12 +226,12 @@ class Monocab:
             drives.trim_position,
             drives.trim_rate,
             gimbals.trim_rate_setpoint,
+            drives.flywheels.angular_momentum,
             self._setpoint_age,
             (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
             command.reference,
             command.excitation,
             phase,
-            drives.flywheels.angular_momentum,
         )
 
     def interlocks(self, drives: GimbalMeasurement) -> list[str]:
