@@ -67,7 +67,7 @@ async def test_experiment_publishes_state_events_progress_and_results(
         summary = await record(client, frames)
         await until(lambda: watcher.of("parameters") and watcher.of("telemetry"))
         await until(lambda: watcher.of("parameters")[-1] == parameters(summary["estimates"]))
-        await until(lambda: watcher.of("methods")[-1] == methods(summary["estimates"]))
+        await until(lambda: watcher.of("methods")[-1:] == [methods(summary["estimates"])])
         await until(lambda: watcher.of("diagnosis") and watcher.of("diagnosis")[-1] == summary["diagnosis"])
         published = {each["code"]: each for each in watcher.of("event")}
         assert published.pop("end") == {"severity": "warning", "code": "end", "text": "an operator requested the end"}
