@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from math import nan
 from typing import Literal
 
 from upright.telemetry.samples import CanFrame
@@ -35,7 +36,8 @@ class SpeedConfig:
 
 
 class ObservedSpeed:
-    """`speed`: rad/s as last reported, at `timestamp_ns`; 0 of both before the first report."""
+    """`speed`: rad/s as last reported, at `timestamp_ns`. Before the first report it is not known (NaN), and
+    `timestamp_ns` is the time from which reports count."""
 
     __slots__ = ("_size", "_value", "config", "speed", "timestamp_ns", "wrong_lengths")
 
@@ -45,12 +47,12 @@ class ObservedSpeed:
         self._size = config.size
         self.wrong_lengths = 0
         """Frames too short to hold the value: another device has this id, or the mapping has changed."""
-        self.reset()
+        self.reset(0)
 
-    def reset(self) -> None:
-        """Forget what was reported."""
-        self.speed = 0.0
-        self.timestamp_ns = 0
+    def reset(self, start_ns: int) -> None:
+        """Forget what was reported: only frames from `start_ns` on count."""
+        self.speed = nan
+        self.timestamp_ns = start_ns
 
     def handle(self, frame: CanFrame) -> None:
         """Take a frame with `config.can_id`. One that is too short is counted, and says nothing."""

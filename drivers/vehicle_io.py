@@ -96,7 +96,7 @@ class VehicleIo:
         for drive in self.drives:
             drive.reset()
         for speed in self.speeds:
-            speed.reset()
+            speed.reset(start_ns)
 
     @property
     def state(self) -> State | None:

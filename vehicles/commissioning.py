@@ -70,8 +70,9 @@ class Step(Data):
     why: str
     why_now: str
     only_with: str = ""
-    """A section of the vehicle file that the vehicle must have for this step: "flywheel"; with "no " before it, one
-    that it must not have. Other vehicles do not have the step."""
+    """A section of the vehicle file, as "flywheel": a vehicle without it does not have this step."""
+    only_without: str = ""
+    """A section of the vehicle file: a vehicle with it does not have this step."""
     needs: list[Id] = []
     """Steps that must be accepted, or skipped, before."""
     prepare: str = ""
@@ -161,7 +162,7 @@ class Steps(Data):
 
     def of(self, vehicle: VehicleFile) -> Steps:
         """Those of one vehicle."""
-        there = [each for each in self.step if _has(vehicle, each.only_with)]
+        there = [each for each in self.step if _applies(each, vehicle)]
         names = {each.id for each in there}
 
         def known(of: list[str]) -> list[str]:
@@ -208,7 +209,7 @@ class Steps(Data):
             "next": following.id if following is not None else None,
             "steps": [
                 {
-                    **each.model_dump(exclude={"acceptance", "only_with"}),
+                    **each.model_dump(exclude={"acceptance", "only_with", "only_without"}),
                     "state": states[each.id].value,
                     "acceptance": [_judged(one, newest.get(each.id)) for one in each.acceptance],
                     **_carried_out(newest.get(each.id)),
@@ -255,9 +256,9 @@ def steps_for(vehicle: VehicleFile) -> Steps:
     return steps_of(vehicle.vehicle.kind).of(vehicle)
 
 
-def _has(vehicle: VehicleFile, section: str) -> bool:
-    without = section.startswith("no ")
-    return not section or bool(getattr(vehicle, section.removeprefix("no "), None)) != without
+def _applies(step: Step, vehicle: VehicleFile) -> bool:
+    there = not step.only_with or vehicle.has(step.only_with)
+    return there and not (step.only_without and vehicle.has(step.only_without))
 
 
 @cache

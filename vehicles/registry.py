@@ -75,13 +75,10 @@ def models_of(vehicle: VehicleFile) -> Models:
     return Models(nominal, tuple(actuators))
 
 
-def as_measured(vehicle: VehicleFile, recordings: Sequence[Recording]) -> VehicleFile:
-    """`vehicle` with the parameters that `recordings` of it measure themselves."""
+def measured(vehicle: VehicleFile, recordings: Sequence[Recording]) -> tuple[dict[str, float], dict[str, float]]:
+    """The parameters that `recordings` of a vehicle measure themselves: values and standard deviations by name, SI."""
     found = of(vehicle.vehicle.kind).measured(vehicle, recordings)
-    if not found:
-        return vehicle
-    values, deviations = ({name: each[place] for name, each in found.items()} for place in (0, 1))
-    return vehicle.with_values(values, deviations)
+    return {name: value for name, (value, _) in found.items()}, {name: std for name, (_, std) in found.items()}
 
 
 def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:

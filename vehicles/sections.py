@@ -299,6 +299,8 @@ class SpinSection(Section):
 
 Asked = LoadSection | TiltSection | SpinSection
 """What a person may be asked to do during an experiment."""
+ASKED: Mapping[str, type[Asked]] = {"load": LoadSection, "tilt": TiltSection, "spin": SpinSection}
+"""The same by the key of the experiment, of the daemon's state and of the event."""
 
 
 class ExperimentSection(Section):
@@ -344,7 +346,7 @@ class ExperimentSection(Section):
         if self.load is not None and not self.gets_up:
             raise ValueError("a load is put on a vehicle that is up: leave out load, or choose another at")
         if sum(each is not None for each in (self.load, self.tilt, self.spin)) > 1:
-            raise ValueError("a person does one thing during an experiment: leave load, tilt or spin")
+            raise ValueError("a person does one thing during an experiment: leave only one of load, tilt and spin")
         at_rest = self.at == REST and self.excitation == "none"
         if self.tilt is not None and not at_rest:
             raise ValueError('a vehicle is tilted by hand with its drives off: excitation = "none" and at = "rest"')
@@ -550,6 +552,10 @@ class VehicleFile(Section):
                     f"well; set another id in the device and here{use}, or use a second bus"
                 )
         return self
+
+    def has(self, section: str) -> bool:
+        """Whether there is anything in this section of the file, which its kind has to know."""
+        return bool(getattr(self, section))
 
     @property
     def observed(self) -> tuple[SpeedConfig, ...]:

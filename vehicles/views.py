@@ -21,13 +21,15 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Curves of one unit; `factor` converts SI to it."""
+    """Curves of one unit; `factor` converts SI to it. `only_with`: a section of the vehicle file without which there is
+    nothing to draw."""
 
     id: str
     title: str
     unit: str
     factor: float
     curves: tuple[Curve, ...]
+    only_with: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,6 +114,8 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
         page.print(f"  {answer['reason']}", style="bold red" if answer["mode"] == "fault" else None, markup=False)
     for interlock in answer["interlocks"]:
         page.print(f"  not ready: {interlock}")
+    for reason in answer["stays_down"]:
+        page.print(f"  not ready to get up: {reason}")
     for drive in answer["drives"]:
         page.print("  ".join([f"  {drive['name']}: {drive['state']}", drive["fault"], *drive["warnings"]]).rstrip())
     if answer["estimates"]:

@@ -131,7 +131,9 @@ class Dashboard:
                 name: each.model_dump(exclude_none=True) for name, each in vehicle.experiments.items()
             },
             "methods": list(METHODS),
-            "charts": [asdict(chart) for chart in views.charts],
+            "charts": [
+                asdict(chart) for chart in views.charts if not chart.only_with or vehicle.has(chart.only_with)
+            ],
         })  # fmt: skip
 
     async def _list(self, request: Request) -> Response:

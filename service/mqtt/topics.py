@@ -73,6 +73,8 @@ class State(Message):
     reason: str
     interlocks: list[str]
     """Reasons that prevent an experiment, as sentences."""
+    stays_down: list[str]
+    """Reasons that prevent only those experiments in which the vehicle gets up."""
     faults: list[Fault]
     version: str
     since: float

@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from upright.diagnosis.prediction.compare import Comparison, compare
-from upright.estimators.identify.run import with_values
 from upright.models.model import Model
-from upright.service.offline.inputs.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.machine import as_measured, loops_of, support_of
 from upright.service.offline.inputs.question import asked_of
 from upright.telemetry.recording import Recording
-from upright.vehicles import registry
 from upright.vehicles.experiment.load import with_load
 from upright.vehicles.sections import VehicleFile
 
@@ -33,15 +31,6 @@ def compared(
         raise asked
     for recording in recordings:
         progress(f"comparing: {Path(recording.source).name}")
-        loaded = {name: with_load(_as_measured(each, vehicle, recording), recording) for name, each in models.items()}
+        loaded = {name: with_load(as_measured(each, vehicle, [recording]), recording) for name, each in models.items()}
         loops = loops_of(subject, vehicle, [recording])
         yield compare(loaded, [recording], support=support, loops=loops, progress=progress)
-
-
-def _as_measured(model: Model, vehicle: VehicleFile | None, recording: Recording) -> Model:
-    """A model of `vehicle` with the parameters that the recording measures itself."""
-    if vehicle is None or not is_of(model, vehicle):
-        return model
-    found = registry.of(vehicle.vehicle.kind).measured(vehicle, [recording])
-    values, deviations = ({name: each[place] for name, each in found.items()} for place in (0, 1))
-    return with_values(model, values, deviations)

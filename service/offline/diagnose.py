@@ -23,7 +23,7 @@ from upright.estimators.budget import Budget, OutOfTime
 from upright.estimators.contract import EstimationError
 from upright.models.effect import Effect
 from upright.models.model import Model
-from upright.service.offline.inputs.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.machine import as_measured, is_of, loops_of, support_of
 from upright.service.offline.inputs.question import asked_of
 from upright.service.offline.inputs.replay import live_diagnosis
 from upright.service.offline.models import identified_model
@@ -110,8 +110,7 @@ def diagnosed(
     report = progress or (lambda text, share: None)
     if seconds is not None and not seconds > 0.0:
         raise EstimationError("budget", f"{seconds:g} s is no time", remedy="give more than 0 s; inf means no limit.")
-    vehicle = registry.as_measured(vehicle, recordings) if vehicle is not None else None
-    nominal = to_be_completed(model, vehicle)
+    nominal = as_measured(to_be_completed(model, vehicle), vehicle, recordings)
     support = support_of(nominal, vehicle)
     own = vehicle if is_of(nominal, vehicle) else None
     if len(recordings) == 1:

@@ -14,7 +14,7 @@ from upright.diagnosis.report import Provenance, write_identification
 from upright.estimators.identify.run import Progress, identify
 from upright.estimators.identify.subject import NOTHING_OWN
 from upright.models.model import Model
-from upright.service.offline.inputs.machine import is_of, loops_of, support_of
+from upright.service.offline.inputs.machine import as_measured, is_of, loops_of, support_of
 from upright.service.offline.inputs.question import asked_of
 from upright.service.offline.models import identified_model
 from upright.telemetry.errors import UprightError
@@ -100,13 +100,13 @@ def identified(
     Raises ModelError and EstimationError for an invalid model or name, RecordingError for a recording with a load,
     DataError for a table that is to be read otherwise.
     """
-    vehicle = registry.as_measured(vehicle, recordings) if vehicle is not None else None
-    subject = identified_model(model, vehicle)
+    subject = as_measured(identified_model(model, vehicle), vehicle, recordings)
     values: Mapping[str, float] = {}
     deviations: Mapping[str, float] = {}
     own = NOTHING_OWN
     if vehicle is not None and is_of(subject, vehicle):
-        values, deviations = vehicle.parameters.values, vehicle.parameters.deviations
+        known, (found, scatter) = vehicle.parameters, registry.measured(vehicle, recordings)
+        values, deviations = {**known.values, **found}, {**known.deviations, **scatter}
         own = registry.of(vehicle.vehicle.kind).identification()
     refuse_loads(recordings)
     support = support_of(subject, vehicle)

@@ -7,24 +7,16 @@ the screen in front of a real person does, and is as late as a quick one.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from upright.service.control.clients import api
 from upright.simulation.physics.load import Action, Load, Spin, Tilt
-from upright.vehicles.sections import Asked, LoadSection, SpinSection, TiltSection
+from upright.vehicles.sections import ASKED, Asked, LoadSection, SpinSection, TiltSection
 
 LOOK = 0.2
 """s between two looks at the daemon's state."""
-
-DOES: Mapping[str, Callable[[Mapping[str, Any]], Action]] = {
-    "load": lambda asked: Load(asked["torque"], asked["ramp"]),
-    "tilt": lambda asked: Tilt(asked["duration"]),
-    "spin": lambda asked: Spin(asked["up"]),
-}
-"""What a person does who is asked for it in the daemon's state."""
 
 
 def carried(asked: Asked | None) -> Action | None:
@@ -54,9 +46,10 @@ class Passenger:
         """Read the daemon's state."""
         try:
             status = list(api.call(self._sockets, {"verb": "status"}, timeout=1.0))[-1].get("status") or {}
+            asked = [kind.model_validate(status[key]) for key, kind in ASKED.items() if status.get(key)]
         except (api.ApiError, ValueError):
-            status = {}
-        self._load = next((does(status[key]) for key, does in DOES.items() if status.get(key)), None)
+            asked = []
+        self._load = carried(asked[0] if asked else None)
 
 
 @contextmanager

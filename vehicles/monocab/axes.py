@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 from upright.drivers.vehicle_io import VehicleIo
 from upright.vehicles.monocab.file import MonocabFile
-from upright.vehicles.monocab.flywheels import FlywheelMeasurement, Flywheels
+from upright.vehicles.monocab.flywheels import NOTHING_KNOWN, FlywheelMeasurement, Flywheels
 
 NAN = float("nan")
-NOTHING_KNOWN = FlywheelMeasurement(NAN)
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ CHANNELS = ChannelTable(
         Channel(
             "angular_momentum",
             "N m s",
-            "of the flywheels together, from their measured speeds; the vehicle file's where these are not measured",
+            "of the flywheels together, from their measured speeds; not known where these are not measured",
             newer=True,
         ),
         SETPOINT_AGE,

@@ -20,7 +20,7 @@ from upright.vehicles.monocab.control.controller import design
 from upright.vehicles.monocab.control.full import full_if_used
 from upright.vehicles.monocab.control.roll_design import RollDesign
 from upright.vehicles.monocab.file import FULL, MonocabFile
-from upright.vehicles.monocab.flywheels import SLOW
+from upright.vehicles.monocab.flywheels import SILENT, SLOW
 from upright.vehicles.monocab.handling import GimbalHandling
 from upright.vehicles.monocab.watch import MonocabWatch
 
@@ -44,7 +44,7 @@ class MonocabCode(StrEnum):
     FLYWHEELS = "flywheels"
 
 
-METRES, PERCENT = Unit("m", digits=3), Unit("%", 100.0, digits=0)
+METRES, PERCENT, SECONDS = Unit("m", digits=3), Unit("%", 100.0, digits=0), Unit("s")
 GAINED_DEG = 5.0
 """deg/s of roll rate that no torque explains. Chosen, so that the swinging of a flexible cabin (the hidden effect
 `flexible_mode`) is no fault; a fall reaches 12 deg/s."""
@@ -145,12 +145,21 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
         ),
         Bound(
             MonocabCode.FLYWHEELS,
-            "the flywheels have lost speed: angular momentum that is missing",
+            "the flywheels do not keep their speed: angular momentum that is missing",
             "axes.flywheels.missing",
             SLOW,
             PERCENT,
             When.UPRIGHT,
             advice="check the inverters of the flywheels",
+        ),
+        Bound(
+            MonocabCode.FLYWHEELS,
+            "a flywheel does not report its speed any more: the last report is older",
+            "axes.flywheels.silence",
+            SILENT,
+            SECONDS,
+            When.UPRIGHT,
+            advice="check its inverter, and its connection to the bus",
         ),
         Bound(
             MonocabCode.PRECESSION_BUDGET,

@@ -42,6 +42,14 @@ CHARTS = (
         (Curve("trim_rate", "measured"), Curve("trim_rate_setpoint", "setpoint", "setpoint")),
     ),
     Chart(
+        "angular_momentum",
+        "Angular momentum",
+        "N m s",
+        1.0,
+        (Curve("angular_momentum", "measured"),),
+        only_with="flywheel",
+    ),
+    Chart(
         "innovation",
         "Innovation of the roll rate",
         "deg/s",

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from upright.models.effect import Effect
     from upright.models.file.document import ModelFile
     from upright.telemetry.recording import Recording
+    from upright.vehicles.sections import VehicleFile
 
 FileArgument = Annotated[Path, typer.Argument(help="A model file, .toml.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -168,10 +169,13 @@ def drop_test(
     from upright.models.file.history import before_fits
     from upright.models.file.model_file import read
     from upright.service.cli.inputs import working
+    from upright.service.offline.inputs.machine import as_measured
 
     written = read(file)
-    model, support = before_fits(written), _support(vehicle)
-    loaded = [_load(path, vehicle, written) for path in recordings]
+    machine = _machine(vehicle)
+    loaded = [_load(path, machine, written) for path in recordings]
+    model = as_measured(before_fits(written), machine, loaded)
+    support = None if machine is None else machine.support
     with working() as step:
         tests = drop_tests(model, loaded, support=support, progress=lambda text, share: step(text))
     if json:
@@ -185,9 +189,8 @@ def drop_test(
 def _start(name: str, vehicle: str | None) -> ModelFile:
     """The model to add to: a model file, or a shipped model with the CAD values of the vehicle."""
     from upright.service.offline.model_files import started
-    from upright.vehicles.file import load
 
-    return started(name, None if vehicle is None or name.endswith(".toml") else load(vehicle))
+    return started(name, None if name.endswith(".toml") else _machine(vehicle))
 
 
 def _target(name: str, output: Path | None) -> Path:
@@ -216,14 +219,17 @@ def _revise(
     from upright.diagnosis.revise.revision import revise
     from upright.models.file.history import before_fits
     from upright.service.cli.inputs import working
+    from upright.service.offline.inputs.machine import as_measured
     from upright.vehicles.experiment.load import refuse_loads
 
-    support = _support(vehicle)
-    training, tried = ([_load(path, vehicle, file) for path in paths] for paths in (recordings, held_out))
+    machine = _machine(vehicle)
+    support = None if machine is None else machine.support
+    training, tried = ([_load(path, machine, file) for path in paths] for paths in (recordings, held_out))
     refuse_loads((*training, *tried))
+    model = as_measured(before_fits(file), machine, (*training, *tried))
     with working() as step:
         return revise(
-            before_fits(file),
+            model,
             effect,
             training,
             tried,
@@ -233,21 +239,17 @@ def _revise(
         )
 
 
-def _support(vehicle: str | None) -> float | None:
-    if vehicle is None:
-        return None
+def _machine(vehicle: str | None) -> VehicleFile | None:
     from upright.vehicles.file import load
 
-    return load(vehicle).support
+    return None if vehicle is None else load(vehicle)
 
 
-def _load(path: Path, vehicle: str | None, file: ModelFile) -> Recording:
+def _load(path: Path, machine: VehicleFile | None, file: ModelFile) -> Recording:
     from upright.service.offline.inputs.read import read
     from upright.telemetry.tables.mapping import Said, columns_of
-    from upright.vehicles.file import load
 
-    known = None if vehicle is None else load(vehicle)
-    found, notes = read(path, known, [file.model], Said(columns_of(file.columns)))
+    found, notes = read(path, machine, [file.model], Said(columns_of(file.columns)))
     for note in notes:
         people.print(f"[yellow]{escape(f'{path}: {note}')}[/yellow]")
     return replace(found, source=path.name)

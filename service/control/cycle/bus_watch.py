@@ -17,7 +17,7 @@ MANY = 32
 SERVICES = (0x080, 0x580, HEARTBEAT_COB_ID)
 """What every CANopen node may send beyond its process data: emergency, SDO answer, heartbeat; added to its number."""
 REPORTS = (0x180, 0x280, 0x380, 0x480)
-"""Its process data: of a node of which one speed is read, the others are nobody's concern, and no stranger's."""
+"""What it sends as process data, TPDO 1 to 4. A node whose speed is read may send all of them."""
 LSS, TIME = 0x7E4, 0x100
 
 OTHERS = "others"

@@ -41,7 +41,7 @@ from upright.vehicles import registry
 from upright.vehicles.bounds import OK, Code, Reaction, Verdict
 from upright.vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement, Pilot
 from upright.vehicles.experiment.phases import BALANCING, POWERED, UPRIGHT, Phase
-from upright.vehicles.sections import Asked, LoadSection, SpinSection, TiltSection, VehicleFile
+from upright.vehicles.sections import ASKED, Asked, VehicleFile
 
 SYNC = 0x080
 HEARTBEAT = 0x700
@@ -469,11 +469,12 @@ class ControlLoop:
         return not self._stop_check.over
 
     def obstacles(self, name: str) -> list[str]:
-        """The reasons that prevent the experiment of this name: the interlocks, and what keeps the vehicle down."""
-        found = self.interlocks()
-        if found or not self.vehicle.experiments[name].gets_up:
-            return found
-        return self.kind.obstacles(self.drives)
+        """The reasons that prevent the experiment of this name: the interlocks, or what keeps the vehicle down."""
+        return self.interlocks() or (self.stays_down() if self.vehicle.experiments[name].gets_up else [])
+
+    def stays_down(self) -> list[str]:
+        """The reasons that prevent an experiment in which the vehicle gets up, where others can be started."""
+        return self.kind.obstacles(self.drives) if self.mode is Mode.DISARMED else []
 
     def interlocks(self) -> list[str]:
         """The reasons that prevent every experiment, as sentences; empty if there are none."""
@@ -590,12 +591,11 @@ class ControlLoop:
             "mode": self.mode.value,
             "experiment": run.name if run is not None else None,
             "phase": self._phase.name.lower(),
-            "load": _told(self._asked, LoadSection, "torque", "ramp"),
-            "tilt": _told(self._asked, TiltSection, "duration"),
-            "spin": _told(self._asked, SpinSection, "up"),
+            **_told(self._asked),
             "code": self.code,
             "reason": self.reason,
             "interlocks": self.interlocks(),
+            "stays_down": self.stays_down(),
             "faults": [{"code": self.code, "text": self.reason}] if self.mode is Mode.FAULT else [],
             "version": assembly.version(),
             "since": self.since_ns * 1e-9,
@@ -618,7 +618,8 @@ class ControlLoop:
         """Ask a person for something: people see it on every screen, and a virtual vehicle undergoes it."""
         self._asked = asked
         if asked is not None:
-            self._observer.event("info", _ASKED[type(asked)], asked.announcement)
+            code = next(key for key, kind in ASKED.items() if isinstance(asked, kind))
+            self._observer.event("info", code, asked.announcement)
         self.on_change()
 
     def _begin_recording(self) -> None:
@@ -678,10 +679,7 @@ def _in_words(error: Exception) -> str:
     )
 
 
-_ASKED: Mapping[type[Asked], str] = {LoadSection: "load", TiltSection: "tilt", SpinSection: "spin"}
-"""The code of the event that asks a person for it."""
-
-
-def _told(asked: Asked | None, kind: type[Asked], *keys: str) -> dict[str, Any] | None:
-    """What a person has been asked to do, for the state, if it is of this `kind`."""
-    return asked.model_dump(include={*keys, "announcement"}) if isinstance(asked, kind) else None
+def _told(asked: Asked | None) -> dict[str, dict[str, Any] | None]:
+    """What a person has been asked to do, for the state, by its key; None for all that is not asked."""
+    told = asked.model_dump(exclude={"after"}) if asked is not None else None
+    return {key: told if isinstance(asked, kind) else None for key, kind in ASKED.items()}

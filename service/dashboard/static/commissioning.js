@@ -2,7 +2,7 @@
 // A step's experiment is run by this page, which holds its lease; a job of the server evaluates its recording.
 
 import { h, fill, seconds, text } from "./dom.js";
-import { Experiments, describe, obstacle, stays } from "./experiments.js";
+import { Experiments, asked, describe, obstacle, stays } from "./experiments.js";
 import { run } from "./jobs.js";
 import { acceptance, badge, file, found, isDone, prepare, purpose, wasCarriedOut } from "./step.js";
 
@@ -56,7 +56,7 @@ export class Commissioning {
 
   state(state) {
     this.experiments.state(state);
-    text(this.alert, (state.mode === "running" && (state.load ?? state.tilt ?? state.spin)?.announcement) || "");
+    text(this.alert, (state.mode === "running" && asked(state)) || "");
     this.refresh();
   }
 

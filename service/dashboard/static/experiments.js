@@ -11,11 +11,15 @@ const WORDS = {
   spectrum: (x) => `${x.length} lines`, controller: (x) => `${x} controller`,
   load: (x) => `a load of ${number(x.torque)}\u00a0N m after ${number(x.after)}\u00a0s`,
   tilt: (x) => `tilted over by hand after ${number(x.after)}\u00a0s, in ${number(x.duration)}\u00a0s`,
+  spin: (x) => `flywheels ${x.up ? "brought to their speed" : "switched off"} after ${number(x.after)}\u00a0s`,
 };
 
 const UNITS = { trim_rate: "m/s" }; // of an amplitude, where it is not that of the vehicle's setpoint
 
 const isOff = (each) => each.at === "rest" && each.excitation === "none";
+
+// What a person is asked to do to the vehicle now, as a sentence; nothing while nothing is asked.
+export const asked = (state) => (state.load ?? state.tilt ?? state.spin)?.announcement;
 
 // Whether the vehicle leaves its support.
 export const getsUp = (each) => each.at !== "support" && !isOff(each);

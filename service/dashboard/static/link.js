@@ -14,7 +14,7 @@ const isText = (value) => typeof value === "string";
 const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 
 const CHECKS = {
-  state: (m) => isText(m.mode) && Array.isArray(m.interlocks) && m.interlocks.every(isText) && Array.isArray(m.faults),
+  state: (m) => isText(m.mode) && [m.interlocks, m.stays_down ?? []].every((each) => Array.isArray(each) && each.every(isText)) && Array.isArray(m.faults),
   telemetry: isTelemetry,
   parameters: (m) => Object.values(m).every((entry) => isObject(entry) && "value" in entry),
   methods: (m) => isObject(m.estimates) && Object.values(m.estimates).every((each) => isObject(each) && Object.values(each).every(isObject)) &&

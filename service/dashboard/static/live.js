@@ -43,7 +43,7 @@ export class Live {
   }
 
   state(state) {
-    const words = [...state.faults.map((fault) => h("li", { class: "bad" }, `Fault: ${fault.text}`)), ...state.interlocks.map((each) => h("li", {}, each))];
+    const words = [...state.faults.map((fault) => h("li", { class: "bad" }, `Fault: ${fault.text}`)), ...[...state.interlocks, ...(state.stays_down ?? [])].map((each) => h("li", {}, each))];
     fill(this.interlocks, words.length ? words : h("li", { class: "good" }, "None: an experiment can be started."));
     text(this.figures.held, this.app.named(state.held_by || "nobody"));
   }

@@ -5,6 +5,7 @@ import { print } from "./charts.js";
 import { Link, newest } from "./link.js";
 import { Live } from "./live.js";
 import { Commissioning } from "./commissioning.js";
+import { asked } from "./experiments.js";
 import { Identify } from "./identify.js";
 import { Gap } from "./gap.js";
 import { Recordings } from "./recordings.js";
@@ -76,7 +77,7 @@ function showState(state) {
   const mode = $("mode");
   text(mode, state.mode);
   mode.dataset.kind = { fault: "bad", running: "active", disarmed: "good" }[state.mode] ?? "warn";
-  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${(state.load ?? state.tilt ?? state.spin)?.announcement ?? state.phase}` : named(state.reason || ""));
+  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${asked(state) ?? state.phase}` : named(state.reason || ""));
   showLink();
   each("state", state);
 }

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from upright.estimators.contract import EstimationError
+from upright.estimators.identify.run import with_values
 from upright.models.model import Model
 from upright.telemetry.channels import COMMON
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.options import mapped, option
 from upright.telemetry.recording import Recording
 from upright.vehicles.file import load
-from upright.vehicles.registry import names, nominal_model, of, recorded_loop
+from upright.vehicles.registry import measured, names, nominal_model, of, recorded_loop
 from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
@@ -53,6 +54,13 @@ def is_of(model: Model, vehicle: VehicleFile | None) -> bool:
     except EstimationError:
         return False
     return [joint.coordinate for joint in model.joints[:1]] == [joint.coordinate for joint in own.joints[:1]]
+
+
+def as_measured(model: Model, vehicle: VehicleFile | None, recordings: Sequence[Recording]) -> Model:
+    """`model` with the parameters that `recordings` measure themselves, if it is one of the vehicle."""
+    if vehicle is None or not is_of(model, vehicle):
+        return model
+    return with_values(model, *measured(vehicle, recordings))
 
 
 def refuse_foreign(recording: Recording, vehicle: VehicleFile) -> None:

@@ -159,7 +159,8 @@ class Vehicle:
         ready = {
             "vehicle": "monocab", "mode": "disarmed", "experiment": None, "phase": "none",
             "load": None, "tilt": None, "spin": None,
-            "code": "", "reason": "", "interlocks": [], "faults": [], "version": "0", "since": 1.0, "held_by": None,
+            "code": "", "reason": "", "interlocks": [], "stays_down": [],
+            "faults": [], "version": "0", "since": 1.0, "held_by": None,
             "commands": True,
         }  # fmt: skip
         self.publish("state", topics.State.model_validate(ready | changes).model_dump())

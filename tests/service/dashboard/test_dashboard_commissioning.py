@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from flywheels import with_flywheels
 from served import TOKEN, served
 from starlette.exceptions import HTTPException
 
@@ -19,7 +20,7 @@ from upright.service.dashboard.app import Dashboard, Settings
 from upright.service.dashboard.recordings import UnknownRecording
 from upright.vehicles import commissioning
 from upright.vehicles.commissioning import CommissioningError, Steps
-from upright.vehicles.file import load
+from upright.vehicles.file import VehicleFile, load
 
 RECORDING = "20260101_tilt.arrow"
 STEPS = Steps.model_validate({
@@ -154,3 +155,12 @@ async def test_result_of_a_job(script: str, state: str, result: Any, monkeypatch
     assert (job.state, job.result) == (state, result)
     assert job.error == ("RuntimeError: out of memory" if script == CRASH else job.error)
     await run.close()
+
+
+def test_angular_momentum_is_drawn_where_it_is_measured(tmp_path: Path) -> None:
+    def charts(vehicle: VehicleFile) -> list[str]:
+        with served(Dashboard(Settings(vehicle, tmp_path, "ws://127.0.0.1:9001", token=TOKEN))) as address:
+            return [each["id"] for each in json.loads(get(f"{address}api/config")[2])["charts"]]
+
+    assert "angular_momentum" in charts(with_flywheels(tmp_path))
+    assert "angular_momentum" not in charts(load("monocab"))

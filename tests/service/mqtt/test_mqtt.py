@@ -79,7 +79,7 @@ async def test_experiment_publishes_state_events_progress_and_results(
         assert all(any(each["effect"] in text for text in events) for each in named)
         assert watcher.of("progress") == [{"task": "sweep", "fraction": 0.25, "remaining": 30.0}]
     async with Watcher(broker.port) as late:
-        await until(lambda: late.of("parameters"))
+        await until(lambda: late.of("parameters") and late.of("diagnosis"))
         name, entry = next(iter(late.of("parameters")[0].items()))
         assert name == "inertia"
         assert entry.keys() >= {"value", "std", "unit", "status", "method"}

@@ -339,7 +339,8 @@ async def test_everything_published_conforms_to_the_schemas(control: Control, br
         "load": {"torque": 550.0, "ramp": 1.0, "announcement": "Sit down now"},
         "tilt": {"duration": 5.0, "announcement": "Tilt it over now"},
         "spin": {"up": True, "announcement": "Switch them on now"},
-        "interlocks": [], "faults": [], "version": "1", "since": 1.0, "held_by": None, "commands": True,
+        "interlocks": [], "stays_down": [],
+        "faults": [], "version": "1", "since": 1.0, "held_by": None, "commands": True,
     }  # fmt: skip
     health = {
         "cycles": 5, "missed_cycles": 0, "rate": 250.0,

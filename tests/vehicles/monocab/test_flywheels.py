@@ -5,10 +5,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import replace
-from math import hypot, tau
+from math import hypot, isnan, tau
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from flywheels import with_flywheels
 
@@ -16,15 +17,18 @@ from upright.drivers.observed_speed import ObservedSpeed, SpeedConfig
 from upright.service.control import assembly
 from upright.service.control.cycle.loop import Mode
 from upright.service.control.cycle.rows import rows_from_frames
+from upright.service.offline.diagnose import diagnosed
 from upright.service.offline.identify import identified
+from upright.service.offline.inputs.machine import as_measured
 from upright.service.virtual.run import ClosedLoop, VirtualRunError, record
 from upright.simulation.bus.object_dictionary import SimulationError
 from upright.simulation.config import SimulationConfig
 from upright.telemetry.samples import CanFrame
 from upright.vehicles import registry
-from upright.vehicles.commissioning import is_within, steps_for
+from upright.vehicles.commissioning import CommissioningError, is_within, steps_for
 from upright.vehicles.file import VehicleFile, VehicleFileError, load
 from upright.vehicles.monocab.identification.flywheels import measured, run_down, spin_up
+from upright.vehicles.monocab.model import MONOCAB_ROLL
 
 NOMINAL = 6000.0 * tau / 60.0
 
@@ -49,8 +53,9 @@ def test_a_frame_is_read_where_the_file_says_and_a_short_one_says_nothing() -> N
     assert (wheel.speed, wheel.timestamp_ns, wheel.wrong_lengths) == (150.0, 7, 0)
     wheel.handle(CanFrame(9, 0x194, b"\x01\x02\x03"))
     assert (wheel.speed, wheel.timestamp_ns, wheel.wrong_lengths) == (150.0, 7, 1)
-    wheel.reset()
-    assert (wheel.speed, wheel.timestamp_ns) == (0.0, 0)
+    wheel.reset(11)
+    assert isnan(wheel.speed)
+    assert wheel.timestamp_ns == 11
 
 
 @pytest.mark.parametrize(
@@ -87,6 +92,7 @@ def test_flywheels_are_spun_up_hold_the_vehicle_and_run_down(tmp_path: Path) -> 
     (refusal,) = closed.loop.obstacles("hold")
     assert "turn too slowly (flywheel_left 0, flywheel_right 0 of 6000 rpm)" in refusal
     assert not closed.loop.obstacles("rest"), "on its support it may be moved and recorded"
+    assert closed.loop.state()["stays_down"] == [refusal]
 
     closed.run("spin_up")
     up = closed.recording("spin_up")
@@ -121,7 +127,7 @@ def test_the_angular_momentum_of_a_raw_log_is_that_of_the_recording(tmp_path: Pa
     place = assembly.channels(vehicle).index_of("angular_momentum")
     again = [row.values[place] for row in rows_from_frames(logged, io, kind, assembly.roll_filter(vehicle), start_ns)]
     assert len(recording) > 10_000
-    assert again[: len(recording)] == pytest.approx(recording["angular_momentum"], abs=0.0)
+    np.testing.assert_array_equal(again[: len(recording)], recording["angular_momentum"])
 
 
 def test_flywheels_that_lose_their_drive_end_a_run_in_order_before_the_vehicle_falls(tmp_path: Path) -> None:
@@ -132,8 +138,34 @@ def test_flywheels_that_lose_their_drive_end_a_run_in_order_before_the_vehicle_f
         flywheel.on = False
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 40.0)
     assert closed.loop.mode is Mode.DISARMED
-    assert "the flywheels have lost speed" in closed.loop.reason
+    assert "the flywheels do not keep their speed" in closed.loop.reason
     assert "check the inverters of the flywheels" in closed.loop.reason
+
+
+def test_a_flywheel_that_falls_silent_ends_a_run_in_order(tmp_path: Path) -> None:
+    closed = ClosedLoop(with_flywheels(tmp_path))
+    closed.loop.start_experiment("hold")
+    closed.advance(8.0)
+    closed.plant_side.speed_reports.silent[0] = True
+    closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 40.0)
+    assert closed.loop.mode is Mode.DISARMED
+    assert "a flywheel does not report its speed any more" in closed.loop.reason
+    momentum = closed.recording("hold")["angular_momentum"]
+    assert np.isnan(momentum[-1])
+    assert np.isfinite(momentum[500])
+
+
+def test_what_was_not_measured_is_not_accepted_and_not_used(tmp_path: Path) -> None:
+    vehicle = with_flywheels(tmp_path)
+    closed = ClosedLoop(vehicle, configure=standing)
+    closed.plant_side.speed_reports.silent[1] = True
+    closed.run("spin_up")
+    recording = closed.recording("spin_up")
+    assert np.isnan(recording["angular_momentum"]).all()
+    assert measured(vehicle, [recording]) == {}
+    for evaluation in (spin_up, run_down):
+        with pytest.raises(CommissioningError, match="does not report its speed"):
+            evaluation(vehicle, [recording])
 
 
 def test_a_flywheel_that_turns_the_wrong_way_and_one_that_is_silent_are_named(tmp_path: Path) -> None:
@@ -170,6 +202,9 @@ def test_an_identification_takes_the_angular_momentum_from_the_measured_speeds(t
         found = identified([recording], of, methods=["prediction_error"]).document
         return float(found["methods"]["prediction_error"]["parameters"]["inertia"]["value"])
 
+    searched = diagnosed([recording], vehicle, candidates=["static_torque"]).model
+    for model in (searched, as_measured(MONOCAB_ROLL, vehicle, [recording])):
+        assert model.values["angular_momentum"] == value
     blind, seeing = inertia(load("monocab")), inertia(vehicle)
     assert blind / seeing == pytest.approx(1.0 / 0.97, rel=1e-3)
     assert seeing == pytest.approx(1650.0, rel=0.005)

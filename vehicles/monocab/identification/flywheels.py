@@ -1,7 +1,6 @@
 """What the speeds of the flywheels say of them: are they where they should be, and how do they run down?
 
-`angular_momentum` of a recording is theirs together (`vehicles.monocab.flywheels`). Where the vehicle file does not say
-how their speed is read, a recording says nothing of it.
+`angular_momentum` of a recording is theirs together (`vehicles.monocab.flywheels`), and not known where a speed is not.
 """
 
 from __future__ import annotations
@@ -13,35 +12,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from upright.telemetry.recording import Recording
-from upright.vehicles.commissioning import Number
+from upright.vehicles.commissioning import CommissioningError, Number
 from upright.vehicles.monocab.file import MonocabFile
 
 MOMENTUM = "angular_momentum"
 END = 0.25
-"""Share of a recording at its end over which the flywheels should keep their speed."""
-BEGIN = 1.0
-"""s at the beginning of a recording that are left out: the first reports may still be missing."""
+"""Share of a recording at its end over which the flywheels should keep their speed. Chosen."""
 Array = NDArray[np.float64]
 
 
 def measured(vehicle: MonocabFile, recordings: Sequence[Recording]) -> dict[str, tuple[float, float]]:
-    """The angular momentum in `recordings`, N m s, and its standard deviation: the inertias', and how much it varied.
-    Nothing if the speeds are not measured."""
-    if not vehicle.flywheel or not all(MOMENTUM in each.values for each in recordings):
+    """The mean angular momentum in `recordings`, N m s, and its standard deviation: the inertias', and how much it
+    varied. Nothing if the file has no flywheels, or a recording does not know it."""
+    values = [each[MOMENTUM][np.isfinite(each[MOMENTUM])] for each in recordings if MOMENTUM in each.values]
+    if not vehicle.flywheel or len(values) < len(recordings) or not all(map(len, values)):
         return {}
-    values = np.concatenate([_known(each)[1] for each in recordings])
-    if not values.size:
-        return {}
-    mean = float(np.mean(values))
-    return {MOMENTUM: (mean, hypot(_std(vehicle, mean), float(np.std(values))))}
+    mean = float(np.mean(np.concatenate(values)))
+    return {MOMENTUM: (mean, hypot(_std(vehicle, mean), float(np.std(np.concatenate(values)))))}
 
 
 def spin_up(vehicle: MonocabFile, recordings: Sequence[Recording]) -> dict[str, Number]:
-    """The angular momentum at the end of a recording in which the flywheels were brought to their speed."""
-    time, momentum = _known(recordings[0])
-    last = time >= time[-1] - END * (time[-1] - time[0])
-    value = float(np.mean(momentum[last]))
-    slope = float(np.polyfit(time[last], momentum[last], 1)[0])
+    """What the flywheels have reached in a recording in which they were brought to their speed.
+
+    `angular_momentum` (N m s) and `momentum_off`, how far it is off the vehicle file's in standard deviations of both;
+    `momentum_change` (% of the file's in a minute), the slope at the end. Raises CommissioningError if the flywheels do
+    not report their speed.
+    """
+    _, (time, momentum) = _course(recordings[0])
+    value = float(np.mean(momentum))
+    slope = float(np.polyfit(time, momentum, 1)[0])
     entry, std = vehicle.parameters.angular_momentum, _std(vehicle, value)
     return {
         MOMENTUM: Number(value=value, std=std, unit="N m s"),
@@ -55,23 +54,30 @@ def run_down(vehicle: MonocabFile, recordings: Sequence[Recording]) -> dict[str,
 
     `drag` (N m, of all of them) is what slows them down at the end, the slope there of a parabola over the last
     quarter; `time_left` (min) is how long that torque needs to stop them. Drag falls with the speed, so that they turn
-    for longer than that.
+    for longer than that. `lost` is in % of what there was at the beginning. Raises CommissioningError if the flywheels
+    do not report their speed.
     """
-    time, momentum = _known(recordings[0])
-    last = time >= time[-1] - END * (time[-1] - time[0])
-    _, slope, value = (float(each) for each in np.polyfit(time[last] - time[-1], momentum[last], 2))
+    first, (time, momentum) = _course(recordings[0])
+    _, slope, value = (float(each) for each in np.polyfit(time - time[-1], momentum, 2))
     return {
-        "lost": Number(value=100.0 * (1.0 - value / float(momentum[0])) if momentum[0] else None, unit="%"),
+        "lost": Number(value=100.0 * (1.0 - value / first) if first else None, unit="%"),
         "drag": Number(value=-slope, unit="N m"),
         "time_left": Number(value=-value / slope / 60.0 if slope < 0.0 else None, unit="min"),
     }
 
 
-def _known(recording: Recording) -> tuple[Array, Array]:
-    """Time (n,) s and angular momentum (n,) N m s of the samples in which it is known."""
+def _course(recording: Recording) -> tuple[float, tuple[Array, Array]]:
+    """The first angular momentum that is known, N m s, and the END of its course: time (n,) s, angular momentum (n,).
+    Raises CommissioningError if it is not known up to the end."""
     time, momentum = recording.time, recording[MOMENTUM]
-    kept = np.isfinite(momentum) & (time >= time[0] + BEGIN)
-    return time[kept], momentum[kept]
+    known = np.isfinite(momentum)
+    last = time >= time[-1] - END * (time[-1] - time[0])
+    if not known[last].all():
+        raise CommissioningError(
+            "a flywheel does not report its speed.",
+            remedy="Switch its inverter on, and check can_id and start_byte of its [[flywheel]] section.",
+        )
+    return float(momentum[known][0]), (time[last], momentum[last])
 
 
 def _std(vehicle: MonocabFile, momentum: float) -> float:
