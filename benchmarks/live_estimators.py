@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from upright.estimators.parting import partings
-from upright.service.observer.live.online_estimators import RECURSION, EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import RECURSION, EstimatorBank, estimators_of
 from upright.service.virtual.run import record
 from upright.simulation.config import SimulationConfig
 from upright.telemetry.recording import Recording
@@ -64,8 +64,7 @@ SITUATIONS = (
 
 def bank_of(kind: str) -> EstimatorBank:
     vehicle = load(kind)
-    given = vehicle.parameters
-    bank = online_estimators(kind, given.values, given.deviations, vehicle.support)
+    bank = estimators_of(vehicle)
     bank.join()
     return bank
 

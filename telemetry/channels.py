@@ -6,6 +6,7 @@ folder (`vehicles.monocab.channels`).
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 STEEPEST = 1.6
@@ -16,7 +17,8 @@ STEEPEST = 1.6
 class Channel:
     """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it. `leans`: a lean
     angle of the vehicle, which is beyond STEEPEST only if it was recorded in another unit. `part`: what it belongs to,
-    if a vehicle may do without; all channels of that part are then at rest."""
+    if a vehicle may do without; all channels of that part are then at rest. `only_with`: a section of the vehicle file
+    without which it is not recorded."""
 
     name: str
     unit: str
@@ -24,6 +26,7 @@ class Channel:
     newer: bool = False
     leans: bool = False
     part: str = ""
+    only_with: str = ""
 
 
 class ChannelTable(tuple[Channel, ...]):
@@ -37,6 +40,10 @@ class ChannelTable(tuple[Channel, ...]):
             if channel.name == name:
                 return place
         raise KeyError(f"no channel {name!r}; there are {', '.join(self.names)}")
+
+    def of(self, names: Collection[str]) -> ChannelTable:
+        """Those of the channels that are among `names`, in the order of this table."""
+        return ChannelTable(channel for channel in self if channel.name in names)
 
     @property
     def lean(self) -> str:

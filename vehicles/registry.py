@@ -55,8 +55,14 @@ def kind_of(vehicle: VehicleFile, io: VehicleIo) -> Kind[Any]:
 
 
 def channels_of(kind: str) -> ChannelTable:
-    """What is recorded of a vehicle of this kind. Raises UnknownKindError."""
+    """What is recorded of vehicles of this kind (of one of them: `recorded`). Raises UnknownKindError."""
     return of(kind).channels
+
+
+def recorded(vehicle: VehicleFile) -> ChannelTable:
+    """What is recorded of this vehicle: of its kind's channels those for which it has what they need."""
+    every = channels_of(vehicle.vehicle.kind)
+    return ChannelTable(each for each in every if not each.only_with or vehicle.has(each.only_with))
 
 
 def nominal_model(kind: str) -> Model:

@@ -21,15 +21,13 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Curves of one unit; `factor` converts SI to it. `only_with`: a section of the vehicle file without which there is
-    nothing to draw."""
+    """Curves of one unit; `factor` converts SI to it. Without one of its channels there is no chart."""
 
     id: str
     title: str
     unit: str
     factor: float
     curves: tuple[Curve, ...]
-    only_with: str = ""
 
 
 @dataclass(frozen=True, slots=True)

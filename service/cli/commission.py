@@ -296,7 +296,7 @@ def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path, *, begin
 
     from upright.service.cli.inputs import working
     from upright.service.control.daemon import Places
-    from upright.service.observer.live.online_estimators import online_estimators
+    from upright.service.observer.live.online_estimators import estimators_of
     from upright.service.virtual.daemon import daemon_beside
     from upright.service.virtual.vehicle import before_commissioning, requested_disturbance
 
@@ -305,8 +305,7 @@ def _virtual(file: VehicleFile, hide: list[str], seed: int, data: Path, *, begin
         data.mkdir(parents=True, exist_ok=True)
         with working() as step:
             step("preparing the estimators (on the first start on a computer, their model is compiled)")
-            cad = file.parameters
-            online_estimators(file.vehicle.kind, cad.values, cad.deviations, file.support).join()
+            estimators_of(file).join()
         places = Places(BUS, BUS, data, data.absolute() / f"{file.vehicle.id}.sock")
         people.print(f"A virtual {file.vehicle.id} gets ready; recordings are in {data}.")
         shaken = requested_disturbance(file, hide)

@@ -71,7 +71,7 @@ def demo(
     from upright.service.cli.talk import follow
     from upright.service.demo.figure import save_run
     from upright.service.demo.run import run_demo
-    from upright.service.observer.live.online_estimators import online_estimators
+    from upright.service.observer.live.online_estimators import estimators_of
     from upright.service.offline.models import compared_models, estimates_beside
     from upright.service.pages.compare import comparison_table
     from upright.service.virtual.vehicle import requested_disturbance
@@ -79,10 +79,10 @@ def demo(
     from upright.vehicles.file import load
 
     file = load(vehicle)
-    given, story = file.parameters, registry.of(file.vehicle.kind).views.story
+    story = registry.of(file.vehicle.kind).views.story
     with working() as step:
         step("preparing the estimators (on the first start on a computer, their model is compiled)")
-        online_estimators(file.vehicle.kind, given.values, given.deviations, file.support).join()
+        estimators_of(file).join()
 
     def evaluate(recordings: list[Path]) -> None:
         last = recordings[-1]

@@ -32,7 +32,7 @@ def version() -> str:
 
 def channels(vehicle: VehicleFile) -> ChannelTable:
     """The channel table of a vehicle."""
-    return registry.channels_of(vehicle.vehicle.kind)
+    return registry.recorded(vehicle)
 
 
 def imu_config(vehicle: VehicleFile) -> ImuConfig:
@@ -86,6 +86,7 @@ def observer_hello(
     return {
         "vehicle": vehicle.vehicle.id,
         "kind": vehicle.vehicle.kind,
+        "channels": list(channels(vehicle).names),
         "version": version(),
         "configuration_hash": vehicle.configuration_hash,
         "rate": vehicle.control.rate,

@@ -103,7 +103,7 @@ class Dashboard:
 
     async def _config(self, request: Request) -> Response:
         vehicle, settings = self._settings.vehicle, self._settings
-        views = registry.of(vehicle.vehicle.kind).views
+        views, table = registry.of(vehicle.vehicle.kind).views, registry.recorded(vehicle)
         trusted = has_token(request.headers, settings.token)
         return JSONResponse({
             "vehicle": vehicle.vehicle.id,
@@ -122,7 +122,7 @@ class Dashboard:
                 {"name": views.limits[key][0], "value": value, "unit": views.limits[key][1]}
                 for key, value in vehicle.limits.model_dump().items()
             ],
-            "units": {channel.name: channel.unit for channel in registry.channels_of(vehicle.vehicle.kind)},
+            "units": {channel.name: channel.unit for channel in table},
             "amplitude_unit": views.amplitude,
             "parameters": {
                 name: getattr(vehicle.parameters, name).model_dump() for name in vehicle.parameters.values
@@ -132,7 +132,7 @@ class Dashboard:
             },
             "methods": list(METHODS),
             "charts": [
-                asdict(chart) for chart in views.charts if not chart.only_with or vehicle.has(chart.only_with)
+                asdict(chart) for chart in views.charts if all(curve.channel in table.names for curve in chart.curves)
             ],
         })  # fmt: skip
 

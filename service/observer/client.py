@@ -21,7 +21,6 @@ from upright.service.observer.pipe import ObserverPipe, PipeStatistics
 from upright.service.observer.recording.raw_log_client import RawLogProcess
 from upright.service.turns import Turns
 from upright.telemetry.samples import CanFrame, Frame
-from upright.vehicles import registry
 
 ORDERS = ("start_recording", "stop_recording")
 """Messages that must not be lost."""
@@ -117,7 +116,7 @@ class ObserverClient:
             self._process = await asyncio.create_subprocess_exec(
                 *command, pass_fds=(other.fileno(),), stdin=DEVNULL, stdout=DEVNULL, start_new_session=True
             )
-        channels = len(registry.channels_of(self._hello["kind"]))
+        channels = len(self._hello["channels"])
         pipe = self._pipe = ObserverPipe(
             own, channels, self._counts, self._handle, lossless=self._lossless, turns=self._turns
         )

@@ -84,12 +84,12 @@ class Observer:
 
     def __init__(self, connection: socket.socket, hello: Mapping[str, Any]) -> None:
         self._connection = connection
-        self._channels = registry.channels_of(hello["kind"])
+        self._channels = registry.channels_of(hello["kind"]).of(hello["channels"])
         self._codec = link.FrameCodec(len(self._channels))
         given = hello["parameters"]
         values = {name: entry["value"] for name, entry in given.items()}
         deviations = {name: entry["std"] for name, entry in given.items()}
-        self._new_bank = partial(online_estimators, hello["kind"], values, deviations, hello["support"])
+        self._new_bank = partial(online_estimators, hello["kind"], values, deviations, hello["support"], self._channels)
         self._estimators = self._new_bank()
         self._compiled = asyncio.Event()
         self._news = News()

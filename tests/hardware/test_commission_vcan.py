@@ -18,7 +18,7 @@ from rig import Rig
 
 from upright.models.file.model_file import load_model
 from upright.service.commission.guide import Guide
-from upright.service.observer.live.online_estimators import online_estimators
+from upright.service.observer.live.online_estimators import estimators_of
 from upright.vehicles.commissioning import Entry, State, is_within, steps_of
 from upright.vehicles.file import load
 
@@ -47,8 +47,7 @@ HIDDEN = ("", "coulomb_friction", "viscous_friction", "input_delay")
 def commissioned(folder: Path, *simulate: str) -> Iterator[Rig]:
     """A virtual MONOCAB on SocketCAN, whose experiments are SHORTER."""
     vehicle = load("monocab")
-    values, deviations = vehicle.parameters.values, vehicle.parameters.deviations
-    online_estimators("monocab", values, deviations, vehicle.support).join()
+    estimators_of(vehicle).join()
     text = Path(vehicle.path).read_text()
     for name, duration in SHORTER.items():
         text = re.sub(rf"(\[experiments\.{name}\][^\[]*?\nduration = )[\d.]+", rf"\g<1>{duration}", text, count=1)

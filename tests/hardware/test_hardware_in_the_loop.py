@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 import pytest
 import rig as shared
+from monocab_channels import MONOCAB as CHANNELS
 from numpy.typing import NDArray
 from rig import HEARTBEAT_TIMEOUT, UPRIGHT, Rig
 
 from upright.service.control.clients.api import ApiError
-from upright.service.observer.live.online_estimators import online_estimators
+from upright.service.observer.live.online_estimators import estimators_of
 from upright.service.offline.inputs import replay
 from upright.telemetry.candump import CandumpReader
 from upright.telemetry.storage import load as load_recording
 from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.monocab.channels import CHANNELS
 
 ON_THE_BUS = CHANNELS.names[: CHANNELS.index_of("drive_age") + 1]
 SETPOINTS = {"precession_rate_setpoint", "trim_rate_setpoint"}
@@ -65,8 +65,7 @@ def rig(folder: Path, *simulate: str, **options: Any) -> Iterator[Rig]:
 @pytest.fixture(scope="module", autouse=True)
 def compiled() -> None:
     """Compiles the live estimator's model into the cache: on the guest's one processor that takes a minute."""
-    values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
-    online_estimators(VEHICLE.vehicle.kind, values, deviations, VEHICLE.support).join()
+    estimators_of(VEHICLE).join()
 
 
 @pytest.fixture(scope="class")

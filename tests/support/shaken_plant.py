@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from monocab_channels import MONOCAB
 
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.recording import Recording
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 STEP = 1e-3
 ROWS = 5

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from monocab_channels import MONOCAB
 from numpy.typing import NDArray
 
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import Frame
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 Array = NDArray[np.float64]
 

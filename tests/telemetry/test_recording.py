@@ -8,13 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
+from monocab_channels import MONOCAB
 
 from upright.telemetry.arrow_file import ArrowStreamWriter
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load, save
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 START_NS = 1_730_301_035_277_560_123
 TWO = ChannelTable(MONOCAB[:2])

@@ -21,7 +21,7 @@ from upright.models.compiler.kernel import compile_model
 from upright.models.segment import Segment
 from upright.service.cli import app
 from upright.service.control.cycle.loop import Mode
-from upright.service.observer.live.online_estimators import online_estimators
+from upright.service.observer.live.online_estimators import estimators_of
 from upright.service.offline.next_experiment import experiments_of
 from upright.service.virtual.run import ClosedLoop, VirtualRunError, record
 from upright.simulation.config import SimulationConfig
@@ -226,7 +226,7 @@ def test_all_experiments_with_excitation_can_be_predicted() -> None:
 
 
 def test_live_estimators_are_recursive_and_the_diagnosis_finds_nothing() -> None:
-    bank = online_estimators("cube", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
+    bank = estimators_of(VEHICLE)
     bank.join()
     bank.update(recorded("multisine").frames(CHANNELS))
     for method in ("recursive_output_error", "recursive_prediction_error"):

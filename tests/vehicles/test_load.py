@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from upright.diagnosis.prediction.compare import Comparison, compare
 from upright.service.control.clients.api import ExitCode, Message, result
 from upright.service.control.clients.server import ApiServer
-from upright.service.observer.live.online_estimators import LOADED, online_estimators
+from upright.service.observer.live.online_estimators import LOADED, estimators_of
 from upright.service.virtual.passenger import Passenger
 from upright.service.virtual.run import record
 from upright.simulation.physics.load import Load, LoadTorque
@@ -130,7 +130,7 @@ def test_virtual_load_comes_and_goes_as_a_ramp() -> None:
 def test_load_is_no_live_finding() -> None:
     """The observer has the experiment's definition in the metadata of the recording that it starts."""
     assert asked_for(side_load().metadata) == ASKED
-    bank = online_estimators("monocab", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
+    bank = estimators_of(VEHICLE)
     bank.of_recording(side_load().metadata)
     assert bank.diagnosis() == {
         "adequate": False, "verdict": "insufficient_data", "reason": LOADED, "findings": [],

@@ -50,8 +50,9 @@ CHANNELS = ChannelTable(
         Channel(
             "angular_momentum",
             "N m s",
-            "of the flywheels together, from their measured speeds; not known where these are not measured",
+            "of the flywheels together, from their measured speeds; not known while one of them is silent",
             newer=True,
+            only_with="flywheel",
         ),
         SETPOINT_AGE,
         DRIVE_AGE,

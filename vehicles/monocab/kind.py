@@ -213,6 +213,7 @@ class Monocab:
         self.watch = MonocabWatch(vehicle, io)
         self._vehicle = vehicle
         self._setpoint_age = -vehicle.imu.latency
+        self._flywheels = bool(vehicle.flywheel)
         self._gimbals = Gimbals(vehicle, io)
         self.measure = self._gimbals.measure
 
@@ -235,7 +236,7 @@ class Monocab:
             drives.trim_position,
             drives.trim_rate,
             gimbals.trim_rate_setpoint,
-            drives.flywheels.angular_momentum,
+            *((drives.flywheels.angular_momentum,) if self._flywheels else ()),
             self._setpoint_age,
             (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
             command.reference,

@@ -47,7 +47,6 @@ CHARTS = (
         "N m s",
         1.0,
         (Curve("angular_momentum", "measured"),),
-        only_with="flywheel",
     ),
     Chart(
         "innovation",

@@ -13,9 +13,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from upright.estimators.contract import Estimator
+from upright.telemetry.channels import ChannelTable
 from upright.telemetry.samples import Frame
 from upright.vehicles import registry
 from upright.vehicles.experiment.load import asked_for
+from upright.vehicles.sections import VehicleFile
 
 if TYPE_CHECKING:
     from upright.diagnosis.live.live import LiveDiagnosis
@@ -36,23 +38,41 @@ STARTING = {
 
 
 def online_estimators(
-    kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
+    kind: str,
+    parameters: Mapping[str, float],
+    deviations: Mapping[str, float],
+    support: float,
+    channels: ChannelTable,
 ) -> EstimatorBank:
     """The estimators of a vehicle `kind`, the preferred one last: the recursive output error of its compiled model, its
     own regressions, and the recursive prediction error.
 
-    `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support.
+    `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support,
+    `channels` what the cycles hold.
     Raises EstimationError if a parameter is missing.
     """
     found = registry.of(kind)
     own = found.identification().regressions.values()
-    regressions = [each.make(parameters, deviations, support, found.channels) for each in own]
-    late = {RECURSION: partial(_live_diagnosis, kind, parameters, deviations, support)}
-    return EstimatorBank(regressions, late, {SIMULATION: partial(_simulation, kind, parameters, deviations, support)})
+    regressions = [each.make(parameters, deviations, support, channels) for each in own]
+    late = {RECURSION: partial(_live_diagnosis, kind, parameters, deviations, support, channels)}
+    first = {SIMULATION: partial(_simulation, kind, parameters, deviations, support, channels)}
+    return EstimatorBank(regressions, late, first)
+
+
+def estimators_of(vehicle: VehicleFile) -> EstimatorBank:
+    """The estimators of a vehicle, with the values of its file. Raises EstimationError like `online_estimators`."""
+    known = vehicle.parameters
+    return online_estimators(
+        vehicle.vehicle.kind, known.values, known.deviations, vehicle.support, registry.recorded(vehicle)
+    )
 
 
 def _simulation(
-    kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
+    kind: str,
+    parameters: Mapping[str, float],
+    deviations: Mapping[str, float],
+    support: float,
+    channels: ChannelTable,
 ) -> Estimator:
     from upright.estimators.recursive.prediction_error import Method, RecursivePredictionError
 
@@ -61,13 +81,17 @@ def _simulation(
         parameters=parameters,
         deviations=deviations,
         support=support,
-        channels=registry.channels_of(kind),
+        channels=channels,
         method=Method(SIMULATION),
     )
 
 
 def _live_diagnosis(
-    kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
+    kind: str,
+    parameters: Mapping[str, float],
+    deviations: Mapping[str, float],
+    support: float,
+    channels: ChannelTable,
 ) -> LiveDiagnosis:
     from upright.diagnosis.live.live import LiveDiagnosis
 
@@ -76,7 +100,7 @@ def _live_diagnosis(
         parameters=parameters,
         deviations=deviations,
         support=support,
-        channels=registry.channels_of(kind),
+        channels=channels,
     )
 
 

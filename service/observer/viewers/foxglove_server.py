@@ -25,6 +25,7 @@ from foxglove.channels import LogChannel
 from foxglove.messages import Log, LogLevel, Timestamp
 
 from upright.service.observer.viewers.ros_message import NANOSECONDS, MessageType
+from upright.telemetry.channels import ChannelTable
 from upright.telemetry.samples import Frame
 from upright.vehicles import registry
 
@@ -80,7 +81,7 @@ class FoxgloveServer:
     def __init__(self, port: int, hello: Mapping[str, Any]) -> None:
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a client that is refused is no news
         self._context = context = foxglove.Context()  # which the server does not keep
-        self._vehicle = _Topic("/vehicle", _vehicle(hello["kind"]), context)
+        self._vehicle = _Topic("/vehicle", _vehicle(registry.channels_of(hello["kind"]).of(hello["channels"])), context)
         self._prediction = _Topic("/prediction", _prediction(hello["kind"]), context)
         self._state = _Topic("/state", STATE, context)
         self._health = _Topic("/health", HEALTH, context)
@@ -150,9 +151,9 @@ class FoxgloveServer:
         return time.monotonic_ns() + self._ahead_ns
 
 
-def _vehicle(kind: str) -> MessageType:
-    """A control cycle of this kind of vehicle."""
-    comments = {channel.name: f"{channel.meaning} ({channel.unit})" for channel in registry.channels_of(kind)}
+def _vehicle(channels: ChannelTable) -> MessageType:
+    """A control cycle of a vehicle with these channels."""
+    comments = {channel.name: f"{channel.meaning} ({channel.unit})" for channel in channels}
     return MessageType("Vehicle", comments)
 
 

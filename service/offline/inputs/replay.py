@@ -18,7 +18,7 @@ from upright.estimators.budget import UNLIMITED, Budget
 from upright.models.model import Model
 from upright.service.control import assembly
 from upright.service.control.cycle.rows import rows_from_frames
-from upright.service.observer.live.online_estimators import EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import EstimatorBank, estimators_of
 from upright.service.offline import export
 from upright.service.offline.inputs import can_log
 from upright.service.offline.inputs.machine import is_of, refuse_foreign
@@ -169,9 +169,7 @@ def live_diagnosis(recording: Recording, vehicle: VehicleFile, budget: Budget = 
 
 
 def _replayed(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIMITED) -> EstimatorBank:
-    bank = online_estimators(
-        vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
-    )
+    bank = estimators_of(vehicle)
     bank.of_recording(recording.metadata)
     bank.join()
     frames = list(recording.frames(assembly.channels(vehicle)))

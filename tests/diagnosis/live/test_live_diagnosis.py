@@ -10,6 +10,7 @@ from typing import Any
 import golden
 import numpy as np
 import pytest
+from monocab_channels import MONOCAB
 from observer_harness import VEHICLE
 from thorough import of_many
 
@@ -34,7 +35,6 @@ from upright.service.output import missing_effects
 from upright.service.virtual.run import BOOT_TIME
 from upright.simulation.vehicle import START_NS
 from upright.telemetry.recording import Recording
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 from upright.vehicles.registry import nominal_model
 
 GIVEN: dict[str, Any] = {
@@ -322,7 +322,7 @@ def test_gap_begins_a_new_segment_and_causes_no_finding() -> None:
 
 
 def test_bank_gives_the_diagnosis_as_json_and_news_reports_it_once() -> None:
-    bank = online_estimators("monocab", GIVEN["parameters"], GIVEN["deviations"], GIVEN["support"])
+    bank = online_estimators("monocab", GIVEN["parameters"], GIVEN["deviations"], GIVEN["support"], MONOCAB)
     waiting = bank.diagnosis()
     assert waiting is not None
     assert (waiting["verdict"], waiting["findings"]) == ("insufficient_data", [])

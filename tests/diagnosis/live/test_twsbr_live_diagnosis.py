@@ -30,7 +30,7 @@ from upright.models.file.document import ModelFile
 from upright.models.file.model_file import read, write
 from upright.models.model import Model
 from upright.service.cli import app
-from upright.service.observer.live.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import RECURSION, STARTING, EstimatorBank, estimators_of
 from upright.service.offline.inputs.replay import live_diagnosis
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import save
@@ -144,7 +144,7 @@ def test_no_effect_is_named_in_a_segment_that_begins_in_motion(seed: int) -> Non
 
 
 def test_observer_has_the_live_diagnosis_and_a_replay_gives_its_result() -> None:
-    bank = online_estimators("twsbr", GIVEN["parameters"], GIVEN["deviations"], VEHICLE.support)
+    bank = estimators_of(VEHICLE)
     waiting = bank.diagnosis()
     assert waiting is not None
     assert waiting["reason"] == STARTING["reason"]

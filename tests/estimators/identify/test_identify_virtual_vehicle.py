@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from closed_loop import ClosedLoop
+from monocab_channels import MONOCAB
 
 from upright.diagnosis.prediction.compare import compare
 from upright.estimators.identify.run import identify, with_values
 from upright.simulation.monocab.truth import PlantTruth
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import Frame
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 from upright.vehicles.monocab.identification.own import OWN
 from upright.vehicles.monocab.identification.torque_balance import Method, TorqueBalance
 from upright.vehicles.registry import nominal_model
@@ -50,7 +50,7 @@ def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle_are_estimated(expe
         assert parameter["value"] == pytest.approx(truth, rel=within), name
         assert abs(parameter["value"] - truth) < 1.96 * parameter["std"], name
 
-    estimator = TorqueBalance(known, vehicle.support, deviations=deviations)
+    estimator = TorqueBalance(known, vehicle.support, deviations=deviations, channels=MONOCAB)
     for frame in recording.frames():
         estimator.update(frame)
     model = with_values(nominal_model("monocab"), known, deviations)

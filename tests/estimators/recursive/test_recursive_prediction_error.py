@@ -13,6 +13,7 @@ import golden
 import numpy as np
 import pytest
 import small_vehicle
+from monocab_channels import MONOCAB
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
@@ -39,7 +40,6 @@ from upright.telemetry.channels import ChannelTable
 from upright.telemetry.recording import Recording
 from upright.telemetry.samples import Frame
 from upright.vehicles.file import load
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 from upright.vehicles.registry import channels_of, names, nominal_model
 
 Array = NDArray[np.float64]
@@ -520,7 +520,7 @@ def test_variances_of_correlated_errors_stay_positive_where_the_data_determine_h
 
 def _bank(**changes: Mapping[str, float]) -> EstimatorBank:
     given = {"parameters": CAD, "deviations": SPREAD, **changes}
-    return online_estimators("monocab", given["parameters"], given["deviations"], VEHICLE.support)
+    return online_estimators("monocab", given["parameters"], given["deviations"], VEHICLE.support, MONOCAB)
 
 
 def test_estimator_that_joins_late_gives_the_same_result_bit_for_bit() -> None:

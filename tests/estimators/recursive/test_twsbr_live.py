@@ -20,7 +20,7 @@ from upright.service.observer.live.online_estimators import (
     SIMULATION,
     STARTING,
     EstimatorBank,
-    online_estimators,
+    estimators_of,
 )
 from upright.service.offline.inputs.replay import replay
 from upright.simulation.twsbr.truth import TwsbrTruth
@@ -76,7 +76,7 @@ def normalised_errors(estimate: Estimate) -> dict[str, float]:
 
 
 def bank() -> EstimatorBank:
-    return online_estimators("twsbr", GIVEN["parameters"], GIVEN["deviations"], VEHICLE.support)
+    return estimators_of(VEHICLE)
 
 
 # --- results over time

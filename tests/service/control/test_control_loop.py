@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import pytest
 from closed_loop import ClosedLoop
+from monocab_channels import MONOCAB
 from thorough import of_many
 
 from upright.drivers.cia402.states import State
@@ -20,7 +21,6 @@ from upright.telemetry.samples import CanFrame
 from upright.vehicles import registry
 from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import VehicleFile, load
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 ROLL = MONOCAB.index_of("roll")
 PRECESSION = MONOCAB.index_of("precession")

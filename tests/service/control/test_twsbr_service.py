@@ -32,7 +32,7 @@ from upright.service.control.cycle.loop import Mode
 from upright.service.control.cycle.rows import rows_from_frames
 from upright.service.control.cycle.safety import Observation, Safety
 from upright.service.control.daemon import Daemon, Places
-from upright.service.observer.live.online_estimators import online_estimators
+from upright.service.observer.live.online_estimators import estimators_of
 from upright.service.offline.inputs import replay
 from upright.service.virtual import vehicle as virtual_vehicle
 from upright.service.virtual.run import VirtualRunError, record
@@ -404,7 +404,7 @@ def test_falling_robot_is_stopped_and_its_voltage_is_zero_afterwards() -> None:
 
 
 def test_live_estimators_are_the_recursions_with_a_diagnosis_beside_one() -> None:
-    bank = online_estimators("twsbr", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
+    bank = estimators_of(VEHICLE)
     assert not bank.complete
     bank.join()
     assert bank.complete

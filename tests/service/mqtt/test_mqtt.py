@@ -14,6 +14,7 @@ from typing import Any
 import aiomqtt
 import numpy as np
 import pytest
+from monocab_channels import MONOCAB
 from mosquitto import Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
@@ -24,7 +25,6 @@ from upright.service.mqtt.embedded_broker import USER, EmbeddedBroker
 from upright.service.mqtt.payloads import TelemetryBatches, methods, parameters
 from upright.service.observer.client import ObserverClient
 from upright.telemetry.samples import Frame
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 from upright.vehicles.sections import MqttSection
 
 STATE = {"vehicle": "monocab", "mode": "disarmed", "interlocks": ["The vehicle does not rest."], "faults": []}

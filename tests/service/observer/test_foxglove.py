@@ -21,6 +21,7 @@ from foxglove.messages import Log, LogLevel, Timestamp
 from foxglove_viewer import Viewer, viewer
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from monocab_channels import MONOCAB
 from observer_harness import VEHICLE, cycles, hello, record, until
 from served import free_port
 
@@ -28,7 +29,7 @@ from upright.service.observer import link
 from upright.service.observer.client import ObserverClient
 from upright.service.observer.live.live_gap import LATEST
 from upright.service.observer.live.live_prediction import live_prediction
-from upright.service.observer.live.online_estimators import online_estimators
+from upright.service.observer.live.online_estimators import estimators_of
 from upright.service.observer.process import Observer
 from upright.service.observer.viewers.foxglove_server import BACKLOG, STATE
 from upright.service.observer.viewers.ros_message import MessageType
@@ -36,7 +37,6 @@ from upright.telemetry.formats.ros_messages import ros2
 from upright.telemetry.samples import Frame
 from upright.telemetry.storage import load
 from upright.vehicles import registry
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 UPRIGHT = [sys.executable, "-c", "from upright.service.cli import main; main()"]
 HEALTH = {
@@ -55,7 +55,7 @@ STATE_OF_TEST = {"mode": "running", "experiment": None, "phase": "hold", "code":
 @pytest.fixture(scope="module", autouse=True)
 def compiled() -> None:
     """Put the compiled model into the cache."""
-    online_estimators("monocab", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support).join()
+    estimators_of(VEHICLE).join()
 
 
 @pytest.fixture

@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from monocab_channels import MONOCAB
 from observer_harness import VEHICLE, cycles, hello, record, until
 
 from upright.diagnosis.live.live import LiveDiagnosis
 from upright.service.observer.client import ObserverClient
-from upright.service.observer.live.online_estimators import EstimatorBank, online_estimators
+from upright.service.observer.live.online_estimators import EstimatorBank, estimators_of
 from upright.service.observer.pipe import MOST_WAITING
 from upright.service.observer.process import Observer, link
 from upright.service.offline.inputs import replay
 from upright.telemetry.candump import CandumpReader
 from upright.telemetry.samples import CanFrame, Frame
 from upright.telemetry.storage import load
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 from upright.vehicles.monocab.identification.torque_balance import make as make_plain
 from upright.vehicles.registry import nominal_model
 
@@ -35,7 +35,7 @@ from upright.vehicles.registry import nominal_model
 @pytest.fixture(scope="module", autouse=True)
 def compiled() -> None:
     """Put the compiled model into the cache: compiling it on a new computer takes longer than these tests wait."""
-    online_estimators("monocab", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support).join()
+    estimators_of(VEHICLE).join()
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ async def test_estimator_that_is_compiled_late_still_gets_every_sample(
                 nominal_model("monocab"), parameters=given[1], deviations=given[2], support=given[3], channels=MONOCAB
             )
 
-        return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
+        return EstimatorBank([make_plain(given[1], given[3], channels=given[4])], {"recursive_prediction_error": make})
 
     monkeypatch.setattr("upright.service.observer.process.online_estimators", slow_estimators)
     own, other = link.pair()

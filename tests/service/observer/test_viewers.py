@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from monocab_channels import MONOCAB as CHANNELS
 from observer_harness import cycles, hello, record
 from playwright.sync_api import Browser, Page, expect
 from served import free_port, listening
@@ -30,7 +31,6 @@ from watched import PATIENCE, chromium
 from upright.service.observer.client import ObserverClient
 from upright.telemetry.samples import Frame
 from upright.telemetry.storage import load
-from upright.vehicles.monocab.channels import CHANNELS
 
 pytestmark = [
     pytest.mark.viewer,

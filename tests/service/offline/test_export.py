@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from monocab_channels import MONOCAB
 
 from upright.service.offline.inputs.replay import CONVERTED, convert
 from upright.telemetry.errors import RecordingError
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 
 @pytest.fixture

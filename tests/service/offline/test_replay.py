@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop import ClosedLoop
+from monocab_channels import MONOCAB
 from scipy.io import loadmat
 
 from upright.service.observer.recording.recorder import Recorder
@@ -18,7 +19,6 @@ from upright.telemetry.samples import CanFrame, Frame
 from upright.telemetry.storage import load as load_file
 from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 
 VEHICLE = load("monocab")
 
@@ -172,7 +172,7 @@ def test_channel_that_the_estimators_miss_is_named(run: Path) -> None:
 def test_recording_without_the_newer_channels_gives_the_same_least_squares(run: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     channels = ChannelTable(each for each in MONOCAB if not each.newer)
-    assert set(MONOCAB.names) - set(channels.names) == {"angular_momentum", "gyro_bias_std", "setpoint_age"}
+    assert set(MONOCAB.names) - set(channels.names) == {"gyro_bias_std", "setpoint_age"}
     older = Recording(channels, recorded.timestamp_ns, {name: recorded[name] for name in channels.names})
     least_squares = "recursive_least_squares"
     assert replay.replay(older, VEHICLE)[least_squares] == replay.replay(recorded, VEHICLE)[least_squares]

@@ -13,15 +13,17 @@ import pytest
 import small_vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from monocab_channels import MONOCAB
 from numpy.typing import NDArray
 
 from upright.estimators.contract import Estimate, EstimationError, Status
 from upright.estimators.data.state_variable_filter import StateVariableFilter
 from upright.estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
 from upright.telemetry.samples import Frame
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
-from upright.vehicles.monocab.identification.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
+from upright.vehicles.monocab.identification.torque_balance import Method, TorqueBalance, TorqueBalanceConfig
+from upright.vehicles.monocab.identification.torque_balance import make as make_from
 
+make = partial(make_from, channels=MONOCAB)
 Array = NDArray[np.float64]
 
 CAD = {
@@ -228,7 +230,7 @@ def estimates_of(method: Method, stamps: NDArray[np.int64], table: dict[str, Arr
     found = []
     seeds = table["roll"].shape[1]
     for seed in range(seeds):
-        estimator = TorqueBalance(CAD, SUPPORT, method=method)
+        estimator = TorqueBalance(CAD, SUPPORT, channels=MONOCAB, method=method)
         for frame in small_vehicle.frames(stamps, table, seed):
             estimator.update(frame)
         found.append(estimator.result())
@@ -364,7 +366,7 @@ def test_intermediate_results_never_have_an_invalid_standard_deviation(method: M
     # gave variances of -1e18 and 1e14 here.
     quiet = small_vehicle.Truth(gyro_density=0.0, accelerometer_roll_std=0.0)
     stamps, table = small_vehicle.run(1, 3.0, quiet, reference=lambda time: 0.01 * float(np.sin(1.885 * time)))
-    estimator = TorqueBalance(CAD, SUPPORT, method=method)
+    estimator = TorqueBalance(CAD, SUPPORT, channels=MONOCAB, method=method)
     for frame in small_vehicle.frames(stamps, table, 0):
         estimator.update(frame)
         if frame.timestamp_ns % 20_000_000 == 0:
@@ -458,7 +460,7 @@ def test_displaced_trim_mass_is_accounted_for_as_a_known_torque() -> None:
 
 
 def test_estimator_with_forgetting_finds_the_inertia_within_2_percent() -> None:
-    estimator = TorqueBalance(CAD, SUPPORT, config=TorqueBalanceConfig(memory=5.0))
+    estimator = TorqueBalance(CAD, SUPPORT, channels=MONOCAB, config=TorqueBalanceConfig(memory=5.0))
     for frame in frames_of_a_sweep():
         estimator.update(frame)
     inertia = estimator.result().parameters["inertia"]

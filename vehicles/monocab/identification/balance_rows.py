@@ -110,7 +110,7 @@ class BalanceRows:
         self,
         parameters: Mapping[str, float],
         support: float,
-        channels: ChannelTable = MONOCAB,
+        channels: ChannelTable,
         config: FilterConfig | None = None,
         *,
         instruments: bool = False,

@@ -30,7 +30,6 @@ from upright.estimators.contract import Estimate, EstimationError, ParameterEsti
 from upright.estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution
 from upright.telemetry.channels import ChannelTable
 from upright.telemetry.samples import Frame
-from upright.vehicles.monocab.channels import CHANNELS as MONOCAB
 from upright.vehicles.monocab.identification.balance_rows import REGRESSORS, BalanceRows, FilterConfig
 
 UNITS = dict(zip(REGRESSORS, ("kg m^2", "N m/rad", "N m", "s"), strict=True))
@@ -84,7 +83,7 @@ class TorqueBalance:
         *,
         method: Method = Method.PLAIN,
         deviations: Mapping[str, float] | None = None,
-        channels: ChannelTable = MONOCAB,
+        channels: ChannelTable,
         config: TorqueBalanceConfig | None = None,
     ) -> None:
         for name in ("inertia", "gravity_stiffness", "angular_momentum"):
@@ -191,7 +190,7 @@ def make(
     *,
     method: Method = Method.PLAIN,
     deviations: Mapping[str, float] | None = None,
-    channels: ChannelTable = MONOCAB,
+    channels: ChannelTable,
     memory: float = np.inf,
 ) -> TorqueBalance:
     """The live estimator of a MONOCAB, see TorqueBalance. `memory` s is the time constant of forgetting."""
