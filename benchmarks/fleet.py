@@ -130,7 +130,7 @@ def cluster(workers: int) -> Iterator[Spread]:
 def main() -> None:
     """Print a line for each set."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--short", type=int, default=1000, help="number of short recordings")
+    parser.add_argument("--short", type=int, default=4000, help="number of short recordings")
     parser.add_argument("--whole", type=int, default=30, help="number of whole recordings")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=2)

@@ -1,8 +1,10 @@
 """Distribute tasks over the cores of this machine, or over machines with Dask. Both yield results as they are finished.
 
-If a worker process is killed (memory, a crash in compiled code), no task is lost: it is started again, at most `TRIES`
-times. Tasks that were submitted together when a worker was killed are repeated one by one, so that only the one at
-fault reaches the limit.
+Tasks are handed over in packs, of which a worker does as much as it can in `PACK` s: what a pack costs beside its tasks
+then hardly counts, however short they are, and an interrupted run loses no more than that of what was finished.
+
+If a worker process is killed (memory, a crash in compiled code), no task is lost: each of its pack is started again by
+itself, so that only the one at fault reaches the limit of `TRIES` starts.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from time import perf_counter
+from typing import Any, Generic, Protocol, TypeVar, cast
 from uuid import uuid4
 
 from upright.telemetry.errors import UprightError
@@ -21,7 +24,9 @@ from upright.telemetry.errors import UprightError
 TRIES = 3
 """Maximum number of starts of a task whose worker dies."""
 AHEAD = 2
-"""Tasks submitted for each worker: the one that runs, and the next one."""
+"""Packs submitted for each worker: the one that it does, and the next one."""
+PACK = 0.25
+"""s after which a worker returns what it has finished: a hundred times what handing over a pack takes."""
 CONNECT_TIMEOUT = 10.0
 """Timeout for a Dask scheduler, s."""
 
@@ -52,57 +57,117 @@ class SchedulerError(UprightError):
         self.address = address
 
 
+@dataclass(frozen=True, slots=True)
+class _Outcome(Generic[Result]):
+    """`result` of a task, or why there is none."""
+
+    result: Result | None
+    reason: str = ""
+
+
+def _do(run: Callable[[Task], Result], pack: Sequence[Task]) -> list[_Outcome[Result]]:
+    """In a worker: the outcomes of the first tasks of a pack, at least of one, as many as `PACK` s are enough for."""
+    outcomes: list[_Outcome[Result]] = []
+    end = perf_counter() + PACK
+    for task in pack:
+        try:
+            outcomes.append(_Outcome(run(task)))
+        except Exception as error:  # a failure of one task must not affect the others
+            outcomes.append(_Outcome(None, _words(error)))
+        if perf_counter() > end:
+            break
+    return outcomes
+
+
+class _Waiting(Generic[Task]):
+    """The tasks that no worker has yet, in packs of a size that has been found to fit `PACK`."""
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self._tasks = list(reversed(tasks))
+        self._size = 1
+
+    def __bool__(self) -> bool:
+        return bool(self._tasks)
+
+    def pack(self, workers: int) -> list[Task]:
+        """The next pack, such that there is one left for each of the other `workers`."""
+        size = min(self._size, max(1, len(self._tasks) // (AHEAD * workers)))
+        return [self._tasks.pop() for _ in range(min(size, len(self._tasks)))]
+
+    def again(self, tasks: Sequence[Task]) -> None:
+        """These tasks were not begun."""
+        self._tasks += reversed(tasks)
+
+    def done(self, pack: Sequence[Task], done: int) -> None:
+        """The first `done` tasks of a `pack` are finished, and a worker had no time for the others."""
+        self.again(pack[done:])
+        self._size = done if done < len(pack) else max(self._size, 2 * done)
+
+
+def _results(pack: Sequence[Task], outcomes: Sequence[_Outcome[Result]], work: Work[Task, Result]) -> Iterator[Result]:
+    """The results of the tasks that were done."""
+    for task, outcome in zip(pack, outcomes, strict=False):
+        yield work.failed(task, outcome.reason) if outcome.reason else cast("Result", outcome.result)
+
+
 def processes(workers: int) -> Spread:
     """Distribute over `workers` processes of this machine."""
 
     def spread(tasks: Sequence[Task], work: Work[Task, Result]) -> Iterator[Result]:
         suspects: list[Task] = []
-        waiting = list(reversed(tasks))
+        waiting = _Waiting(tasks)
         while waiting:
             yield from _together(waiting, suspects, workers, work)
-        for task in suspects:
-            yield _alone(task, work)
+        yield from _one_by_one(suspects, work)
 
     return spread
 
 
-def _together(waiting: list[Task], suspects: list[Task], workers: int, work: Work[Task, Result]) -> Iterator[Result]:
+def _together(
+    waiting: _Waiting[Task], suspects: list[Task], workers: int, work: Work[Task, Result]
+) -> Iterator[Result]:
     """Run the `waiting` tasks until all are finished or the pool breaks; then those submitted become `suspects`."""
     with _Pool(workers) as pool:
-        running: dict[Future[Result], Task] = {}
+        running: dict[Future[list[_Outcome[Result]]], list[Task]] = {}
         broken = False
         while running or (waiting and not broken):
-            # Few tasks are affected when a worker dies, and yet no worker waits for its next one.
+            # Few tasks are affected when a worker dies, and yet no worker waits for its next pack.
             while waiting and len(running) < AHEAD * workers and not broken:
-                task = waiting.pop()
+                pack = waiting.pack(workers)
                 try:
-                    running[pool.submit(work.run, task)] = task
+                    running[pool.submit(_do, work.run, pack)] = pack
                 except BrokenProcessPool:
-                    waiting.append(task)
+                    waiting.again(pack)
                     broken = True
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
-                task = running.pop(future)
+                pack = running.pop(future)
                 try:
-                    yield future.result()
+                    outcomes = future.result()
                 except BrokenProcessPool:
-                    suspects.append(task)
+                    suspects.extend(pack)
                     broken = True
-                except Exception as error:  # a failure of one task must not affect the others
-                    yield work.failed(task, _words(error))
+                else:
+                    waiting.done(pack, len(outcomes))
+                    yield from _results(pack, outcomes, work)
 
 
-def _alone(task: Task, work: Work[Task, Result]) -> Result:
-    """Run a task whose worker may have died once before."""
-    for _ in range(TRIES - 1):
+def _one_by_one(suspects: Sequence[Task], work: Work[Task, Result]) -> Iterator[Result]:
+    """Run tasks whose worker may have died once before, so that it is known which one is at fault."""
+    left, starts = list(reversed(suspects)), 1
+    while left:
         with _Pool(1) as pool:
-            try:
-                return pool.submit(work.run, task).result()
-            except BrokenProcessPool:
-                continue
-            except Exception as error:
-                return work.failed(task, _words(error))
-    return work.failed(task, f"its worker process died {TRIES} times")
+            while left and starts < TRIES:
+                try:
+                    outcomes = pool.submit(_do, work.run, left[-1:]).result()
+                except BrokenProcessPool:
+                    starts += 1
+                    break
+                yield from _results([left.pop()], outcomes, work)
+                starts = 1
+        if starts == TRIES:
+            yield work.failed(left.pop(), f"its worker process died {TRIES} times")
+            starts = 1
 
 
 def _words(error: BaseException) -> str:
@@ -155,14 +220,34 @@ def machines(address: str) -> Spread:
             remedy = "start one with `dask scheduler`, and `dask worker ADDRESS` on each machine."
             raise SchedulerError(address, f"does not answer ({error})", remedy=remedy) from error
         with client:
-            # Dask keeps keys permanently: a task that is run again needs a new one.
-            futures = {client.submit(work.run, task, key=f"task-{uuid4().hex}"): task for task in tasks}
+            waiting = _Waiting(tasks)
+            running: dict[Any, list[Task]] = {}
+            finished = dask.as_completed(loop=client.loop)
+
+            def submit(pack: list[Task]) -> None:
+                # Dask keeps keys permanently: a task that is run again needs a new one.
+                future = client.submit(_do, work.run, pack, key=f"pack-{uuid4().hex}")
+                running[future] = pack
+                finished.add(future)
+
             try:
-                for future in dask.as_completed(list(futures), loop=client.loop):
-                    # The scheduler itself restarts a task whose worker died, and gives up after three times.
-                    wrong = future.exception()
-                    yield future.result() if wrong is None else work.failed(futures[future], _words(wrong))
+                while waiting or running:
+                    workers = max(1, sum(client.ncores().values()))
+                    while waiting and len(running) < AHEAD * workers:
+                        submit(waiting.pack(workers))
+                    future = next(finished)
+                    pack, wrong = running.pop(future), future.exception()
+                    if wrong is None:
+                        outcomes = future.result()
+                        waiting.done(pack, len(outcomes))
+                        yield from _results(pack, outcomes, work)
+                    # The scheduler itself restarts a pack whose worker died, and gives up after three times.
+                    elif len(pack) > 1:
+                        for task in pack:
+                            submit([task])
+                    else:
+                        yield work.failed(pack[0], _words(wrong))
             finally:
-                client.cancel(list(futures))
+                client.cancel(list(running))
 
     return spread
