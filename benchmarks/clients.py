@@ -35,7 +35,7 @@ from vehicle_at import at_rate
 
 from upright.drivers.bus.bus import BusError
 from upright.service.control.clients.api import ApiError, call
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Daemon, Places
 from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.telemetry.samples import CanFrame

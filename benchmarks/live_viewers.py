@@ -30,7 +30,7 @@ from dashboard_parts import free_port
 from dashboard_watchers import interval
 from vehicle_at import at_rate
 
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Daemon, Places
 from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.telemetry.samples import CanFrame

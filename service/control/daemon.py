@@ -26,7 +26,8 @@ from upright.service.control import assembly, realtime
 from upright.service.control.clients.commands import Commands
 from upright.service.control.clients.mqtt_replies import MqttReplies
 from upright.service.control.clients.server import ApiServer
-from upright.service.control.cycle.loop import QUICK_STOP_TIME, ControlLoop, Mode, deadline
+from upright.service.control.cycle.loop import ControlLoop, deadline
+from upright.service.control.cycle.operation import QUICK_STOP_TIME, Mode
 from upright.service.control.cycle.readiness import drive_states
 from upright.service.control.health import HealthReports
 from upright.service.control.notify import Notifier

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from upright.service.control.clients import api
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Daemon, Places
 from upright.service.mqtt.embedded_broker import USER, EmbeddedBroker
 from upright.service.output import live_estimates, missing_effects, page, people

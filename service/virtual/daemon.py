@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Daemon, Places
 from upright.service.virtual.passenger import carried
 from upright.service.virtual.serving import virtual_vehicle_beside

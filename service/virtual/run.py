@@ -20,7 +20,8 @@ import numpy as np
 
 from upright.drivers.cia301.nmt import NmtCommand, command_frame
 from upright.service.control import assembly
-from upright.service.control.cycle.loop import ControlLoop, Mode
+from upright.service.control.cycle.loop import ControlLoop
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.notify import Notifier
 from upright.service.virtual import vehicle as virtual_vehicle
 from upright.service.virtual.passenger import carried

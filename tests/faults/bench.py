@@ -19,7 +19,8 @@ from upright.drivers.cia301.nmt import NmtCommand, command_frame
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.vehicle_io import VehicleIo
 from upright.service.control import assembly
-from upright.service.control.cycle.loop import Mode, deadline
+from upright.service.control.cycle.loop import deadline
+from upright.service.control.cycle.operation import Mode
 from upright.service.virtual import run as virtual_run
 from upright.service.virtual.passenger import carried
 from upright.simulation.bus.drive_node import VirtualDrive

@@ -8,7 +8,7 @@ from math import degrees
 
 from faults.bench import Bench, Moment, moving
 from faults.fault import End, Fault, When
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.vehicles.experiment.phases import UPRIGHT, Phase
 
 AFTER = 3.0

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from guest_service import REPOSITORY, journal, open_to_the_service, run, show, wait_for_mode, write_vehicle
 
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 
 pytestmark = [pytest.mark.systemd, pytest.mark.timeout(240)]
 

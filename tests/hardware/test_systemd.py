@@ -38,7 +38,7 @@ from guest_service import (
     write_vehicle,
 )
 
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 
 pytestmark = [pytest.mark.systemd, pytest.mark.timeout(90)]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from upright.service.control.clients import api
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 UPRIGHT = Path(sys.executable).parent / "upright"

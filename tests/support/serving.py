@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Daemon, Places
 from upright.service.virtual.serving import virtual_vehicle_beside
 from upright.vehicles.file import load

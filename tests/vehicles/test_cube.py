@@ -20,7 +20,7 @@ from upright.drivers.cia402.states import State
 from upright.models.compiler.kernel import compile_model
 from upright.models.segment import Segment
 from upright.service.cli import app
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.observer.live.online_estimators import estimators_of
 from upright.service.offline.next_experiment import experiments_of
 from upright.service.virtual.run import ClosedLoop, VirtualRunError, record

@@ -29,7 +29,8 @@ from upright.service.control.adopted import VEHICLE_FILE, Adopted, History
 from upright.service.control.clients.api import GONE, ExitCode, Message, result
 from upright.service.control.clients.lease import LOOK, Lease
 from upright.service.control.commissioned import Record
-from upright.service.control.cycle.loop import ControlLoop, Mode
+from upright.service.control.cycle.loop import ControlLoop
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.cycle.sequence import ExperimentRun
 from upright.service.observer.client import ObserverClient
 from upright.service.observer.live.news import News

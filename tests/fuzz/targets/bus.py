@@ -21,7 +21,7 @@ from upright.drivers.canopen_link import CanopenLink
 from upright.drivers.cia402 import eds
 from upright.drivers.cia402.setup import Supervision, configure
 from upright.service.control import assembly
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.telemetry.samples import CanFrame
 from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load

@@ -26,7 +26,7 @@ from fuzz.targets.recordings import written
 from upright.service.control.clients.commands import Commands
 from upright.service.control.clients.mqtt_replies import MqttReplies
 from upright.service.control.clients.server import ApiServer
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.dashboard.app import Dashboard, Settings
 from upright.service.dashboard.jobs import Job, Jobs
 from upright.service.mqtt.command_inbox import CommandInbox

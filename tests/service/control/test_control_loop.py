@@ -15,7 +15,7 @@ from upright.drivers.foreign import SYNC_COB_ID
 from upright.drivers.vehicle_io import VehicleIo
 from upright.service.control import assembly
 from upright.service.control.cycle import rows as rows_module
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.cycle.rows import rows_from_frames
 from upright.telemetry.samples import CanFrame
 from upright.vehicles import registry

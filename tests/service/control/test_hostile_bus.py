@@ -11,7 +11,7 @@ from closed_loop import ClosedLoop
 
 from upright.drivers.cia402.states import State
 from upright.drivers.foreign import QUIET_NS
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.cycle.readiness import drive_states
 from upright.simulation.bus.power_state import PowerState
 from upright.telemetry.samples import CanFrame

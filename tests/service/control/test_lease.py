@@ -20,7 +20,7 @@ from serving import connect, serving, until
 
 from upright.service.control.clients.api import RENEWAL_PERIOD, call
 from upright.service.control.clients.lease import LOOK, Lease
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Daemon
 from upright.telemetry.storage import load
 

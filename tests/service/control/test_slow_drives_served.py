@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from upright.service.control.clients import api
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.daemon import Places
 from upright.service.virtual.daemon import daemon_beside
 from upright.simulation.config import SimulationConfig

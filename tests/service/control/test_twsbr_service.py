@@ -28,7 +28,7 @@ from upright.models.gravity import GRAVITY
 from upright.service.cli import app
 from upright.service.control import assembly
 from upright.service.control.clients import api
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.cycle.rows import rows_from_frames
 from upright.service.control.cycle.safety import Observation, Safety
 from upright.service.control.daemon import Daemon, Places

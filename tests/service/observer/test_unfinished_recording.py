@@ -12,7 +12,7 @@ import pytest
 from serving import connect, serving, until
 
 from upright.service.control.clients.api import RENEWAL_PERIOD, ExitCode
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.telemetry.storage import load
 
 pytestmark = pytest.mark.timeout(120)

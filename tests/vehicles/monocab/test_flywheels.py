@@ -15,7 +15,7 @@ from flywheels import with_flywheels
 
 from upright.drivers.observed_speed import ObservedSpeed, SpeedConfig
 from upright.service.control import assembly
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.service.control.cycle.rows import rows_from_frames
 from upright.service.offline.diagnose import diagnosed
 from upright.service.offline.identify import identified

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from closed_loop import ClosedLoop
 
-from upright.service.control.cycle.loop import Mode
+from upright.service.control.cycle.operation import Mode
 from upright.simulation.monocab.hidden import HIDDEN
 from upright.vehicles.contract import Lean
 from upright.vehicles.experiment.phases import Phase
