@@ -49,6 +49,9 @@ ALL = tuple(When)
 UP = (When.RISE, When.SETTLE, When.EXCITE, When.LOWER)
 KINDS = ("monocab", "twsbr", "cube")
 MONOCAB = ("monocab",)
+MEASURED_FLYWHEELS = "monocab_flywheels"
+"""A MONOCAB whose flywheels report their speed, for the faults of these alone."""
+VEHICLES = (*KINDS, MEASURED_FLYWHEELS)
 
 
 class Wanted(StrEnum):
@@ -67,6 +70,7 @@ class Wanted(StrEnum):
     FOREIGN_SDO = "foreign_sdo"
     FALLEN = "fallen"
     RECOVERY = "recovery"
+    FLYWHEELS = "flywheels"
     DRIVE_WARNING = "drive_warning"
     DRIVE_HEARTBEAT = "drive_heartbeat"
     DRIVE_NO_VOLTAGE = "drive_no_voltage"
@@ -87,6 +91,7 @@ Clue = Callable[[Bench], Callable[[], bool]]
 class Fault:
     """One fault. `what` in an operator's words; `inject` makes it happen on a bench.
 
+    `kinds` are the kinds of vehicles that it is for, or one of VEHICLES.
     `ends` are the ends that are right and `codes` the reasons: any of them if a run is stopped. An orderly end has one
     of them, too, or its reason in words contains one of `says`, in lower case. The fault has to be detected `within` s
     (None: nothing has to be reported) from `since`, by default from its injection; `why` gives the reason for what is

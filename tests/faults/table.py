@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from faults.campaign import Result, campaign
-from faults.fault import EXPERIMENTS, KINDS, SIDE_LOAD, When
+from faults.fault import EXPERIMENTS, SIDE_LOAD, VEHICLES, When
 from faults.scenarios import FAULTS
 
 COLUMNS = (
@@ -60,7 +60,7 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
         description="Inject every fault into the virtual vehicle, and print what becomes of it."
     )
     names = [fault.name for fault in FAULTS]
-    parser.add_argument("--vehicle", action="append", choices=KINDS, help="default: all")
+    parser.add_argument("--vehicle", action="append", choices=VEHICLES, help="default: all")
     parser.add_argument("--phase", action="append", type=When, choices=list(When), help="default: all")
     parser.add_argument("--experiment", action="append", choices=(*EXPERIMENTS, SIDE_LOAD), help="default: all")
     parser.add_argument("--only", action="append", choices=names, metavar="NAME", help="this fault; may be repeated")
@@ -81,7 +81,7 @@ def document(result: Result) -> str:
 def results(chosen: argparse.Namespace) -> Iterator[Result]:
     """Those of the chosen vehicles, experiments, phases and faults."""
     faults = [fault for fault in FAULTS if not chosen.only or fault.name in chosen.only]
-    for kind in chosen.vehicle or KINDS:
+    for kind in chosen.vehicle or VEHICLES:
         for experiment in chosen.experiment or (*EXPERIMENTS, SIDE_LOAD):
             these = [fault for fault in faults if kind in fault.kinds and experiment in fault.experiments]
             if chosen.once:

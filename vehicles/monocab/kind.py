@@ -149,7 +149,7 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
             "axes.flywheels.missing",
             SLOW,
             PERCENT,
-            When.UPRIGHT,
+            When.BALANCING,
             advice="check the inverters of the flywheels",
         ),
         Bound(
@@ -158,7 +158,7 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
             "axes.flywheels.silence",
             SILENT,
             SECONDS,
-            When.UPRIGHT,
+            When.BALANCING,
             advice="check its inverter, and its connection to the bus",
         ),
         Bound(

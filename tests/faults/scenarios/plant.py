@@ -7,9 +7,10 @@ from math import exp, radians
 
 from faults import clues
 from faults.bench import Bench
-from faults.fault import MONOCAB, UP, Fault, Wanted, When, harmless, in_order, stopped
+from faults.fault import DETECTED, MEASURED_FLYWHEELS, MONOCAB, UP, Fault, Wanted, When, harmless, in_order, stopped
 from upright.simulation.physics.contact import Supports
 from upright.simulation.physics.load import Load
+from upright.vehicles.monocab.flywheels import SILENT
 
 STEP = 0.004
 """s in which a torque steps on."""
@@ -21,20 +22,25 @@ FELL = (Wanted.FALLEN, Wanted.RECOVERY, "precession")
 
 
 def run_down(time_constant: float) -> Callable[[Bench], None]:
-    """The flywheels lose their speed with this time constant, s; nobody measures it."""
+    """The flywheels lose their speed with this time constant, s."""
 
     def inject(bench: Bench) -> None:
-        begin, gimbals = bench.truth.time, bench.truth.gimbals
-        before = [gimbal.momentum for gimbal in gimbals]
+        begin, flywheels = bench.truth.time, bench.truth.flywheels
+        before = [flywheel.speed for flywheel in flywheels]
 
         def slow() -> None:
             share = exp(-(bench.truth.time - begin) / time_constant)
-            for gimbal, momentum in zip(gimbals, before, strict=True):
-                gimbal.momentum = share * momentum
+            for flywheel, speed in zip(flywheels, before, strict=True):
+                flywheel.on, flywheel.speed = False, share * speed
 
         bench.each_cycle.append(slow)
 
     return inject
+
+
+def unplug_flywheel(bench: Bench) -> None:
+    """One flywheel no longer reports its speed, which it keeps."""
+    bench.plant_side.speed_reports.silent[0] = True
 
 
 def torque(size: float, seconds: float | None = None) -> Callable[[Bench], None]:
@@ -60,21 +66,35 @@ def beam(bench: Bench) -> None:
     bench.truth.supports = Supports(radians(BEAM), truth.support_stiffness, truth.support_damping)  # type: ignore[attr-defined]
 
 
+GOES_ON = tuple(when for when in UP if when is not When.LOWER)
+"""Parts of a run that can still be ended in order."""
 OVER_ITS_LIMIT = "the vehicle can hold 550 N m; known once the gimbals are used up, or it lies on its support"
 FAULTS: tuple[Fault, ...] = (
     *(
         in_order(
-            f"flywheels_run_down_{seconds:g}s",
-            f"the flywheels run down with a time constant of {seconds:g} s",
+            f"{measured}flywheels_run_down_{seconds:g}s",
+            f"the flywheels{', whose speed is measured,' if measured else ''} run down with a time constant of"
+            f" {seconds:g} s",
             run_down(seconds),
-            Wanted.TORQUE_BALANCE,
+            Wanted.FLYWHEELS if measured else Wanted.TORQUE_BALANCE,
             says=("flywheel", "momentum"),
             since=clues.flywheels_weak,
             why="known once a tenth of the angular momentum is missing; then there is still enough to lower it",
-            kinds=MONOCAB,
-            when=UP,
+            kinds=(MEASURED_FLYWHEELS,) if measured else MONOCAB,
+            when=GOES_ON,
         )
+        for measured in ("", "measured_")
         for seconds in (10.0, 2.0)
+    ),
+    in_order(
+        "flywheel_unplugged",
+        "a flywheel no longer reports its speed",
+        unplug_flywheel,
+        Wanted.FLYWHEELS,
+        within=SILENT + DETECTED,
+        why="a flywheel without its motor loses a hundredth of its speed in a second: so long its last report is good",
+        kinds=(MEASURED_FLYWHEELS,),
+        when=GOES_ON,
     ),
     *(
         harmless(
