@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 from upright.estimators.contract import Estimator
 from upright.telemetry.channels import ChannelTable
@@ -37,6 +37,15 @@ STARTING = {
 }
 
 
+class Given(TypedDict):
+    """What an estimator of a compiled model is told of its vehicle, as `online_estimators` is."""
+
+    parameters: Mapping[str, float]
+    deviations: Mapping[str, float]
+    support: float
+    channels: ChannelTable
+
+
 def online_estimators(
     kind: str,
     parameters: Mapping[str, float],
@@ -54,9 +63,9 @@ def online_estimators(
     found = registry.of(kind)
     own = found.identification().regressions.values()
     regressions = [each.make(parameters, deviations, support, channels) for each in own]
-    late = {RECURSION: partial(_live_diagnosis, kind, parameters, deviations, support, channels)}
-    first = {SIMULATION: partial(_simulation, kind, parameters, deviations, support, channels)}
-    return EstimatorBank(regressions, late, first)
+    given = Given(parameters=parameters, deviations=deviations, support=support, channels=channels)
+    late = {RECURSION: partial(_live_diagnosis, kind, **given)}
+    return EstimatorBank(regressions, late, {SIMULATION: partial(_simulation, kind, **given)})
 
 
 def estimators_of(vehicle: VehicleFile) -> EstimatorBank:
@@ -67,41 +76,16 @@ def estimators_of(vehicle: VehicleFile) -> EstimatorBank:
     )
 
 
-def _simulation(
-    kind: str,
-    parameters: Mapping[str, float],
-    deviations: Mapping[str, float],
-    support: float,
-    channels: ChannelTable,
-) -> Estimator:
+def _simulation(kind: str, **given: Unpack[Given]) -> Estimator:
     from upright.estimators.recursive.prediction_error import Method, RecursivePredictionError
 
-    return RecursivePredictionError(
-        registry.nominal_model(kind),
-        parameters=parameters,
-        deviations=deviations,
-        support=support,
-        channels=channels,
-        method=Method(SIMULATION),
-    )
+    return RecursivePredictionError(registry.nominal_model(kind), method=Method(SIMULATION), **given)
 
 
-def _live_diagnosis(
-    kind: str,
-    parameters: Mapping[str, float],
-    deviations: Mapping[str, float],
-    support: float,
-    channels: ChannelTable,
-) -> LiveDiagnosis:
+def _live_diagnosis(kind: str, **given: Unpack[Given]) -> LiveDiagnosis:
     from upright.diagnosis.live.live import LiveDiagnosis
 
-    return LiveDiagnosis(
-        registry.nominal_model(kind),
-        parameters=parameters,
-        deviations=deviations,
-        support=support,
-        channels=channels,
-    )
+    return LiveDiagnosis(registry.nominal_model(kind), **given)
 
 
 class EstimatorBank:
