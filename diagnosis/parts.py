@@ -17,14 +17,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from upright.diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
-from upright.diagnosis.evidence import is_significant
 from upright.diagnosis.explain import together
 from upright.diagnosis.fits.speed_loop_choice import lag_error, over_noise, small, speed_loop
 from upright.diagnosis.prediction.closed_loop_error import Loop
 from upright.diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
-from upright.diagnosis.search.one_more import with_estimates, with_explanation
+from upright.diagnosis.search.one_more import with_explanation
 from upright.diagnosis.trial import FAILURES
-from upright.estimators.contract import ParameterEstimate
 from upright.estimators.data.segments import DataError
 from upright.estimators.stopwatch import stopwatch
 from upright.models.effect import Effect
@@ -113,21 +111,17 @@ def diagnose_actuators(
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
     except FAILURES as error:
         return Diagnosis(Verdict.UNKNOWN, str(error))
-    most = min(most, MOST)
     left = None if budget is None else max(0.0, budget - (stopwatch() - began))
     found = diagnose(
         model,
         free,
         candidates=candidates,
-        most=most,
+        most=min(most, MOST),
         confounded=hidden,
         not_required=model.values,
         budget=left,
         progress=progress,
     )
-    if 0 < len(found.findings) < most:
-        left = None if budget is None else max(0.0, budget - (stopwatch() - began))
-        found = _further(found, free, candidates, left)
     found = quiet(beyond_formula(model, found))
     if found.revised is None:
         return found
@@ -151,45 +145,6 @@ def quiet(found: Diagnosis) -> Diagnosis:
         return found
     reason = f"the innovations of the actuators' rate are {over:.2g} times its sensor's noise"
     return replace(found, verdict=Verdict.UNKNOWN, reason=reason)
-
-
-def _further(
-    found: Diagnosis, recordings: Sequence[Recording], candidates: Sequence[Effect], budget: float | None
-) -> Diagnosis:
-    """`found` and one more effect, unless chance or the uncertainty of the held parameters explains it.
-
-    In a vehicle a further effect must raise the log-likelihood by a share of what the first did, since no formula is
-    exact. The formula of a speed loop is exact: with delays in the model, whose log-likelihood ratios were 5000 to
-    7000, nothing else had more than 0.5, and a dead band of 0.1 mrad/s had 10.
-    """
-    model = found.revised
-    assert model is not None
-    there = {each.effect.name for each in model.effects}
-    others = [each for each in candidates if each.name not in there]
-    more = diagnose(model, recordings, candidates=others, most=1, not_required=model.values, budget=budget)
-    # The stated deviation of an amplitude contains the uncertainty of the held parameters, its likelihood does not.
-    if not any(is_significant(size) for each in more.findings for size in _amplitudes(each)):
-        return found
-    steps = (*found.steps, more.steps[-1])
-    findings = tuple(with_estimates(each, steps[-1]) for each in (*found.findings, *more.findings))
-    named = Verdict.MISSING_EFFECT in (found.verdict, more.verdict)
-    return replace(
-        more,
-        verdict=Verdict.MISSING_EFFECT if named else Verdict.UNKNOWN,
-        reason=together(findings) if named else more.reason,
-        findings=findings,
-        minimum_detectable=found.minimum_detectable,
-        innovation_ratio_before=found.innovation_ratio_before,
-        left_out=found.left_out,
-        score_tests=(*found.score_tests, *more.score_tests),
-        steps=steps,
-        untried=tuple(dict.fromkeys((*found.untried, *more.untried))),
-    )
-
-
-def _amplitudes(finding: Finding) -> list[ParameterEstimate]:
-    names = {f"{finding.effect}.{name}" for name in finding.definition.amplitudes}
-    return [estimate for name, estimate in finding.parameters.items() if name in names]
 
 
 def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
