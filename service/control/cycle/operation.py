@@ -113,6 +113,8 @@ class Operation:
             timeout=vehicle.control.heartbeat_timeout + CYCLES * vehicle.period,
         )
 
+    # Experiments
+
     def start_experiment(self, name: str, client: str = "") -> ExperimentRun:
         """Start an experiment and its recording, which names `client`. Only without `obstacles(name)`."""
         self.foreign.forget()
@@ -167,6 +169,8 @@ class Operation:
         """Whether the drives still have to confirm that they are off."""
         return not self._stop_check.over
 
+    # What prevents an experiment
+
     def obstacles(self, name: str) -> list[str]:
         """The reasons that prevent the experiment of this name: the interlocks, or what keeps the vehicle down."""
         return self.interlocks() or (self.stays_down() if self.vehicle.experiments[name].gets_up else [])
@@ -197,6 +201,8 @@ class Operation:
                     self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence
                 )
 
+    # Controllers
+
     def designed(self, vehicle: VehicleFile) -> Pilot[Any]:
         """The pilot with the controllers of `vehicle`, which differs from this one in its parameters only. It takes a
         tenth of a second, and may run in another thread.
@@ -222,6 +228,8 @@ class Operation:
             return f"{self.reason} is running; `upright stop` ends it."
         self.vehicle, self._pilot = vehicle, pilot
         return ""
+
+    # Drives, buses and the observer
 
     def reset_fault(self) -> str:
         """Acknowledge a fault: set up the drives again and reset their faults. Returns the reason if refused, or ""."""
@@ -281,6 +289,8 @@ class Operation:
     def observer_gone(self) -> None:
         """The observer process has ended: an experiment that is not recorded is ended."""
         self.end_experiment("the observer process ended: nothing is recorded any more")
+
+    # State
 
     def state(self) -> dict[str, Any]:
         """The state for MQTT (`state`) and `upright status`."""
