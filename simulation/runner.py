@@ -1,8 +1,7 @@
 """Runs a virtual vehicle on a bus: one thread, in real time or in lock-step with its master.
 
-Real time: IMU sets leave on an absolute schedule of the monotonic clock. A vehicle that falls behind sends those that
-are due at once, each measured as it leaves: the time at which a frame is on the bus is all that its receiver knows of
-it. Beyond `MOST_BEHIND` cycles the vehicle's time stands still, and sets are skipped. All is counted and reported.
+Real time: IMU sets leave on an absolute schedule of the monotonic clock; a vehicle that falls behind catches up set by
+set, and beyond `MOST_BEHIND` cycles it skips some. Both are counted and reported.
 Lock-step: the set of simulated time t_k leaves with that time in its messages; the vehicle then waits for the SYNC,
 which is assumed to come at t_k + 1 ms, and moves on by exactly one period. As long as no SYNC comes (set-up, or a
 master that went away), simulated time passes at real-time pace.
@@ -151,8 +150,6 @@ class Runner:
             self.statistics.skipped_cycles += skipped
             log.warning("the virtual vehicle is %.0f ms behind: its time stands still for that long", behind * 1e3)
             due += skipped * self._period
-        if behind > 0.5 * self._period:
-            self._advance_to(self._steps + int((now - due) / self._step))
         self._began = due
         self._finish_cycle()
 
@@ -212,7 +209,7 @@ class Runner:
 
     def _finish_cycle(self) -> None:
         self._advance_to(self._steps)
-        self._done -= self._steps
+        self._done = 0
         self.statistics.cycles += 1
         self.vehicle.carry(self._load())
         self.vehicle.begin_cycle()

@@ -246,29 +246,6 @@ def test_delayed_vehicle_counts_and_logs_its_late_cycles(channel: str, caplog: p
     bus.shutdown()
 
 
-def test_late_sets_are_measured_as_they_leave(channel: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Held up for 6 cycles, the vehicle moves on by them at once, and sends the due sets of where it is then."""
-    monkeypatch.setattr("upright.simulation.runner.MOST_BEHIND", 1000)
-    bus, held_up, times = virtual_bus(channel), 0.024, []
-    with running(bus) as runner:
-        begin_cycle = runner.vehicle.begin_cycle
-
-        def noted() -> None:
-            if len(times) == 20:
-                time.sleep(held_up)
-            times.append(runner.vehicle.plant.time)
-            begin_cycle()
-
-        runner.vehicle.begin_cycle = noted  # type: ignore[method-assign]
-        while len(times) < 40:
-            time.sleep(0.01)
-    bus.shutdown()
-    period = 1.0 / runner.vehicle.config.rate
-    assert times[21] - times[20] >= held_up - runner.vehicle.config.step
-    assert times[25] - times[21] < held_up - 2.0 * period
-    assert times[39] - times[0] == pytest.approx(39.0 * period, abs=held_up)
-
-
 def test_faults_are_injected_by_their_command_line_names(buses: tuple[can.BusABC, Master]) -> None:
     bus, master = buses
     faults = parse_faults(["drive_fault:gimbal_right@0.2"], [node.name for node in CONFIG.drives])
