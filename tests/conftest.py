@@ -71,6 +71,8 @@ def _witnessed(item: pytest.Item) -> Iterator[None]:
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
     if item.get_closest_marker("vcan") and not Path("/sys/class/net/vcan0").exists():
         pytest.skip("no vcan0 here; `make vcan-test` runs this in a guest that has one")
+    if item.get_closest_marker("own_time") and "time-travel" not in Path("/proc/cmdline").read_text():
+        pytest.skip("not in a guest with a time of its own; `make vcan-test` runs this there")
     if item.get_closest_marker("systemd") and not _in_throwaway_systemd():
         pytest.skip("not in the throw-away guest with systemd; `make vcan-test` runs this there")
     with _witnessed(item):

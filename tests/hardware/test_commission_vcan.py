@@ -1,11 +1,12 @@
-"""The commissioning of a virtual MONOCAB in real time on SocketCAN, from drives switched off to the report.
+"""The commissioning of a virtual MONOCAB on SocketCAN, from drives switched off to the report.
 
-Limits that only a machine with a processor of its own keeps are skipped with that reason: this one pauses for some
-milliseconds several times a second.
+It runs in a guest with a time of its own, in which computing takes none: no frame is late, as on a computer that has
+nothing else to do, so that every step has to be accepted by its own limits.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from collections.abc import Iterator
@@ -15,14 +16,17 @@ from pathlib import Path
 import pytest
 import rig as shared
 from rig import Rig
+from thorough import of_many
 
+from upright.models.effects.catalogue import CATALOGUE
 from upright.models.file.model_file import load_model
+from upright.models.parts import Place
 from upright.service.commission.guide import Guide
 from upright.service.observer.live.online_estimators import estimators_of
-from upright.vehicles.commissioning import Entry, State, is_within, steps_of
+from upright.vehicles.commissioning import Entry, State
 from upright.vehicles.file import load
 
-pytestmark = [pytest.mark.vcan, pytest.mark.timeout(1500)]
+pytestmark = [pytest.mark.vcan, pytest.mark.own_time, pytest.mark.timeout(1500)]
 
 SHORTER = {
     "rest": 5.0,
@@ -35,10 +39,6 @@ SHORTER = {
     "full_sweep": 30.0,
 }
 """s, of experiments that are longer than is needed to show that they run in real time."""
-PAUSED = "no complete IMU frame set"
-"""The daemon's reason if such a machine paused for more than 200 ms."""
-
-
 SHAKEN = ("--hide", "disturbance=8,0.3")
 HIDDEN = ("", "coulomb_friction", "viscous_friction", "input_delay")
 
@@ -70,7 +70,7 @@ def number(entry: Entry, name: str) -> float:
 
 
 def carried_out(rig: Rig, last: str) -> dict[str, Entry]:
-    """What became of each step up to `last`. One that cannot be carried out ends it."""
+    """What became of each step up to `last`; all are accepted."""
     vehicle = load(str(rig.data / "patient.toml"))
     guide = Guide(vehicle, [rig.socket], lambda messages: list(messages)[-1])
     guide.begin()
@@ -78,26 +78,14 @@ def carried_out(rig: Rig, last: str) -> dict[str, Entry]:
     while last not in found and (step := guide.steps.next(guide.record())) is not None:
         began = time.monotonic()
         entry = found[step.id] = guide.carry_out(step.id)
-        for _ in range(3):
-            if entry.state is State.FAILED and PAUSED in entry.reason:
-                rig.ask("reset")
-                rig.until_ready()
-                entry = found[step.id] = guide.carry_out(step.id)
         print(f"{step.id}: {entry.state.value} after {time.monotonic() - began:.0f} s {entry.reason}", flush=True)
-        if entry.state is State.FAILED:
-            return found
-        if entry.state is State.NOT_ACCEPTED:
-            # Frames that come late make numbers wrong that are right on a real bus.
-            wrong = [each.title for each in step.acceptance if not is_within(each, entry.numbers)]
-            guide.skip(step.id, f"this virtual machine shares its processor with others: {', '.join(wrong)}")
+        assert entry.state is State.ACCEPTED, (step.id, entry.reason, entry.text, entry.numbers)
     guide.save_report()
     return found
 
 
 def test_the_whole_way_ends_with_a_controller_that_holds_a_person(rig: Rig) -> None:
     entries = carried_out(rig, "response")
-    last = list(entries.values())[-1]
-    assert last.step == "response", (last.step, last.reason)
     report = (rig.data / "commissioning" / "report.html").read_text()
     assert "The commissioning is complete" in report
     assert "signature" in report
@@ -111,26 +99,19 @@ def test_the_whole_way_ends_with_a_controller_that_holds_a_person(rig: Rig) -> N
     assert number(entries["trim"], "trim_effect") == pytest.approx(1.0, abs=0.06)
     assert number(entries["disturbance"], "largest_roll") < 0.1
     assert number(entries["disturbance"], "final_precession") == pytest.approx(0.0, abs=0.5)
-    # The loop as recorded was reconstructed and simulated. How close the two are, benchmarks/commissioning.py measures
-    # where a control cycle takes as long as on a vehicle.
-    assert number(entries["prediction"], "loop_error") > 0.0
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize("hidden", of_many(HIDDEN, "coulomb_friction"))
 def test_a_shaken_vehicle_is_commissioned_and_what_it_hides_is_found(hidden: str, tmp_path: Path) -> None:
-    """Shaken by 8 N m RMS, with a hidden effect that the model file of the commissioning has in the end."""
+    """Shaken by 8 N m RMS, with a hidden effect; the last step compares the loop, octave by octave, with its model."""
     with commissioned(tmp_path, *SHAKEN, *(("--hide", hidden) if hidden else ())) as rig:
         entries = carried_out(rig, "response")
-    last = list(entries.values())[-1]
-    assert last.step == "response", (last.step, last.reason)
-    assert "The commissioning is complete" in (rig.data / "commissioning" / "report.html").read_text()
-    model = entries["effects"].model
-    names = [each.name for each in load_model(rig.data / "commissioning" / model).effects] if model else []
-    assert names == ([hidden] if hidden else []), entries["effects"].text
+    folder, effects = rig.data / "commissioning", entries["effects"]
+    assert "The commissioning is complete" in (folder / "report.html").read_text()
+    (document,) = (json.loads((folder / name).read_text()) for name in effects.files if name.endswith(".json"))
+    wanted = [hidden] if hidden else []
+    assert [each["effect"] for each in document["findings"]] == wanted, effects.text
+    # An effect of the setpoints is one of the drives, which have no model file here.
+    added = [each.name for each in load_model(folder / effects.model).effects] if effects.model else []
+    assert added == [each for each in wanted if CATALOGUE[each].place is not Place.ACTUATOR]
     assert number(entries["disturbance"], "final_precession") == pytest.approx(0.0, abs=2.0)
-    (response,) = (each for each in steps_of("monocab").step if each.id == "response")
-    measured = [each for each in response.acceptance if each.quantity in ("gain_off", "phase_off")]
-    assert len(measured) == 2
-    for each in measured:
-        assert is_within(each, entries["response"].numbers), (each.quantity, entries["response"].text)
