@@ -2,7 +2,7 @@
 
 Recordings of a pendulum on a motor, each with a seed of its own, in a folder a vehicle:
 
-    short   0.1 s, read, found too short, and said so: 20 ms of work each, so that everything else shows
+    short   0.1 s, read, found too short, and said so: some 7 ms of work each, so that everything else shows
     whole   12 s at 200 Hz, diagnosed for one effect: about 2 s of work each
 
 Each set is diagnosed by `upright fleet` on 1 worker and on W, and by W processes that get all recordings at once and

@@ -26,7 +26,8 @@ TRIES = 3
 AHEAD = 2
 """Packs submitted for each worker: the one that it does, and the next one."""
 PACK = 0.25
-"""s after which a worker returns what it has finished: a hundred times what handing over a pack takes."""
+"""s after which a worker returns what it has finished. Handing over a pack takes some milliseconds, a few per cent of
+that (`busy` of benchmarks/fleet.py), and no more than that is lost where a run is interrupted."""
 CONNECT_TIMEOUT = 10.0
 """Timeout for a Dask scheduler, s."""
 
@@ -90,7 +91,7 @@ class _Waiting(Generic[Task]):
         return bool(self._tasks)
 
     def pack(self, workers: int) -> list[Task]:
-        """The next pack, such that there is one left for each of the other `workers`."""
+        """The next pack; while there are enough tasks, as many are left for each of the `workers`."""
         size = min(self._size, max(1, len(self._tasks) // (AHEAD * workers)))
         return [self._tasks.pop() for _ in range(min(size, len(self._tasks)))]
 

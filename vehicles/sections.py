@@ -554,7 +554,7 @@ class VehicleFile(Section):
         return self
 
     def has(self, section: str) -> bool:
-        """Whether there is anything in this section of the file, which its kind has to know."""
+        """Whether this section, which the kind has to know, has an entry in the file."""
         return bool(getattr(self, section))
 
     @property

@@ -21,7 +21,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Curves of one unit; `factor` converts SI to it. Without one of its channels there is no chart."""
+    """Curves of one unit; `factor` converts SI to it. A vehicle without one of its channels has no such chart."""
 
     id: str
     title: str

@@ -91,7 +91,7 @@ Clue = Callable[[Bench], Callable[[], bool]]
 class Fault:
     """One fault. `what` in an operator's words; `inject` makes it happen on a bench.
 
-    `kinds` are the kinds of vehicles that it is for, or one of VEHICLES.
+    `kinds` are those of VEHICLES that it is for.
     `ends` are the ends that are right and `codes` the reasons: any of them if a run is stopped. An orderly end has one
     of them, too, or its reason in words contains one of `says`, in lower case. The fault has to be detected `within` s
     (None: nothing has to be reported) from `since`, by default from its injection; `why` gives the reason for what is

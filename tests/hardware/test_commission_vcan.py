@@ -115,3 +115,4 @@ def test_a_shaken_vehicle_is_commissioned_and_what_it_hides_is_found(hidden: str
     added = [each.name for each in load_model(folder / effects.model).effects] if effects.model else []
     assert added == [each for each in wanted if CATALOGUE[each].place is not Place.ACTUATOR]
     assert number(entries["disturbance"], "final_precession") == pytest.approx(0.0, abs=2.0)
+    assert {"gain_off", "phase_off"} <= entries["response"].numbers.keys()
