@@ -221,7 +221,7 @@ def machines(address: str) -> Spread:
             remedy = "start one with `dask scheduler`, and `dask worker ADDRESS` on each machine."
             raise SchedulerError(address, f"does not answer ({error})", remedy=remedy) from error
         with client:
-            waiting = _Waiting(tasks)
+            waiting, suspects = _Waiting(tasks), list[Task]()
             running: dict[Any, list[Task]] = {}
             finished = dask.as_completed(loop=client.loop)
 
@@ -232,22 +232,25 @@ def machines(address: str) -> Spread:
                 finished.add(future)
 
             try:
-                while waiting or running:
+                while waiting or running or suspects:
                     workers = max(1, sum(client.ncores().values()))
                     while waiting and len(running) < AHEAD * workers:
                         submit(waiting.pack(workers))
+                    # Suspects run when all others are finished: if a worker dies then, its only task is at fault.
+                    alone = not running
+                    if alone:
+                        submit([suspects.pop()])
                     future = next(finished)
                     pack, wrong = running.pop(future), future.exception()
                     if wrong is None:
                         outcomes = future.result()
                         waiting.done(pack, len(outcomes))
                         yield from _results(pack, outcomes, work)
-                    # The scheduler itself restarts a pack whose worker died, and gives up after three times.
-                    elif len(pack) > 1:
-                        for task in pack:
-                            submit([task])
-                    else:
+                    elif alone:
                         yield work.failed(pack[0], _words(wrong))
+                    # The scheduler gives up what ran or waited at a worker that died, after three times.
+                    else:
+                        suspects += pack
             finally:
                 client.cancel(list(running))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -29,6 +30,7 @@ def scheduler(folder: Path) -> Iterator[str]:
         "cwd": folder,
         "stdout": subprocess.DEVNULL,
         "stderr": subprocess.DEVNULL,
+        "start_new_session": True,  # with the process that each worker starts for its tasks
     }
     started = [subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), *common], **quiet)]
     worker = [*dask, "worker", address, "--nthreads", "1", "--nworkers", "1", *common]
@@ -37,10 +39,10 @@ def scheduler(folder: Path) -> Iterator[str]:
         until(lambda: _workers(address) == 2, 60.0)
         yield address
     finally:
+        # Not SIGTERM: a worker that is just starting its process anew (a task killed it) may not end on it.
         for process in reversed(started):
-            process.terminate()
-        for process in started:
-            process.wait(20.0)
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
 
 
 def _workers(address: str) -> int:
