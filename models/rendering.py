@@ -150,6 +150,7 @@ def to_json(model: Model) -> dict[str, Any]:
             }
             for attached in model.effects
         ],
+        "actuators_model": None if model.actuators_model is None else to_json(model.actuators_model),
     }
 
 

@@ -46,16 +46,17 @@ class Limit:
 class Experiment:
     """An excitation of the vehicle that could be run.
 
-    `parameters` as in the vehicle file; `duration` s; `period` s of the control loop; `controller()` makes a new
-    controller with the excitation in it. `shorter(s)` is the same experiment in less time, None if that is not
-    possible. The controller runs for `settling` s before it, at times below zero.
+    `parameters` as in the vehicle file; `duration` s; `period` s of the control loop; `controller(model)` makes a new
+    controller with the excitation in it, and with the actuators of a model that has none of its own. `shorter(s)` is
+    the same experiment in less time, None if that is not possible. The controller runs for `settling` s before it, at
+    times below zero.
     """
 
     name: str
     parameters: Mapping[str, Any]
     duration: float
     period: float
-    controller: Callable[[], Controller] = field(repr=False)
+    controller: Callable[[Model], Controller] = field(repr=False)
     limits: tuple[Limit, ...] = ()
     settling: float = 0.0
     shorter: Callable[[float], Experiment | None] = field(default=lambda duration: None, repr=False)
@@ -88,7 +89,7 @@ def simulate(model: Model, experiment: Experiment) -> Course:
     start = task.kernel.memory(np.zeros(len(task.kernel.states)))
     course = Segment(time[first:], knots[first:], usual[first:], rows.measured[first:], experiment.name)
     bounds = [(each, each.channel, ROOM * each.largest) for each in experiment.limits]
-    for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller()):
+    for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller(model)):
         for limit, channel, bound in bounds:
             value = abs(given[channel] if channel in given else seen[channel])
             # Until it has settled, the model is in states in which the vehicle never was.

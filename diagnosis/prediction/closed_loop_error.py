@@ -35,6 +35,7 @@ from upright.diagnosis.prediction.response import Band, responses
 from upright.estimators.data.time_scale import time_scale
 from upright.estimators.data.white_noise import white_variance
 from upright.models.compiler.kernel import Memory
+from upright.models.model import Model
 from upright.models.segment import Segment
 
 Array = NDArray[np.float64]
@@ -53,15 +54,16 @@ SHORTEST = 5.0
 class Loop:
     """The controller that closed the loop on one recording, from `begins` to `ends` (s from its first sample).
 
-    `controller(time)` is the controller as it was at `time`, s, of the recording, that of a sample between the two; it
-    needs the outputs `needs` and gives the inputs `gives`, or those of them that a model has. `channels` are compared.
+    `controller(model)(time)` is the controller as it was at `time`, s, of the recording, that of a sample between the
+    two, with the actuators of a `model` that has none of its own; it needs the outputs `needs` and gives the inputs
+    `gives`, or those of them that a model has. `channels` are compared.
     Beyond the `limits` of these channels the vehicle is no longer controlled: a simulation that exceeds them is not
     valid.
     """
 
     begins: float
     ends: float
-    controller: Callable[[float], Controller] = field(repr=False)
+    controller: Callable[[Model], Callable[[float], Controller]] = field(repr=False)
     needs: frozenset[str]
     gives: frozenset[str]
     channels: tuple[str, ...]
@@ -70,9 +72,12 @@ class Loop:
     def of_part(self, begin: float) -> Loop:
         """The same on a part of the recording whose first sample is at `begin` s."""
         whole = self.controller
-        return replace(
-            self, begins=self.begins - begin, ends=self.ends - begin, controller=lambda time: whole(time + begin)
-        )
+
+        def controller(model: Model) -> Callable[[float], Controller]:
+            at = whole(model)
+            return lambda time: at(time + begin)
+
+        return replace(self, begins=self.begins - begin, ends=self.ends - begin, controller=controller)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +186,8 @@ def _one(
     segment = _part(found.problem.segments[number], last)
     measured = dict(_trajectories(found, loop, segment, segment))
     begin = _filtered(found, number, segment, first)
-    simulated = _run(found, loop, segment, first, begin)
+    controller = loop.controller(model)
+    simulated = _run(found, loop, controller, segment, first, begin)
     _check(loop, simulated, segment.time, first)
     limit = {name: BEYOND * float(np.ptp(values[first:])) for name, values in measured.items()}
     for name, values in simulated.items():
@@ -193,13 +199,14 @@ def _one(
         time=segment.time[first:],
         measured={name: values[first:] for name, values in measured.items()},
         simulated={name: values[first:] for name, values in simulated.items()},
-        floor=floor or _floor(found, loop, segment, first, begin, simulated, limit, draws),
+        floor=floor or _floor(found, loop, controller, segment, first, begin, simulated, limit, draws),
     )
 
 
 def _floor(
     found: Innovations,
     loop: Loop,
+    controller: Callable[[float], Controller],
     segment: Segment,
     first: int,
     begin: Memory,
@@ -209,7 +216,7 @@ def _floor(
 ) -> dict[str, float]:
     """RMS by channel of the deviation that noise alone makes from the loop `simulated` without noise."""
     random = np.random.default_rng(SEED)
-    drawn = [_run(found, loop, segment, first, begin, random) for _ in range(draws)]
+    drawn = [_run(found, loop, controller, segment, first, begin, random) for _ in range(draws)]
     if not all(np.all(np.abs(draw[name][first:]) < BEYOND * limit[name]) for draw in drawn for name in draw):
         raise _NotPossible("with this model noise alone makes the closed loop diverge")
     return {
@@ -285,6 +292,7 @@ def _filtered(found: Innovations, number: int, segment: Segment, first: int) -> 
 def _run(
     found: Innovations,
     loop: Loop,
+    controller: Callable[[float], Controller],
     segment: Segment,
     first: int,
     begin: Memory,
@@ -303,10 +311,9 @@ def _run(
         kick = np.linalg.cholesky(_shown_covariance(found))
         noise = random.standard_normal((len(rows) - first, len(kick))) @ kick.T
         shocks = noise, noise @ found.floor.gain.T
-    task, controller = found.problem, loop.controller(float(segment.time[first]))
-    state = memory.x.data
+    task, closed, state = found.problem, controller(float(segment.time[first])), memory.x.data
     with np.errstate(all="ignore"):
-        for _ in steps(task, _values(found), rows, memory, controller, first=first, shocks=shocks):
+        for _ in steps(task, _values(found), rows, memory, closed, first=first, shocks=shocks):
             if not isfinite(sum(state)):
                 rows.measured[:] = np.nan
                 break

@@ -16,12 +16,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
-from math import copysign, inf, isfinite, nan
+from math import inf, nan
 
 import numpy as np
 from numpy.typing import NDArray
 
 from upright.estimators.contract import EstimationError, Status
+from upright.estimators.data.ramp import RampLimiter
 from upright.models.compiler.curves import read
 from upright.models.model import Model
 from upright.models.natural_time import USUAL, natural_time
@@ -435,23 +436,10 @@ def ramp_shortfall(values: Array, time: Array, ramp: float) -> Array:
 
     It is 0 at samples whose value is unknown; the limiter restarts after them.
     """
-    short = np.zeros(len(values))
+    limiter = RampLimiter(ramp, float(values[0]))
     spacing = np.append(np.diff(time), np.median(np.diff(time)))
-    demand = values[0]
-    for row, (target, span) in enumerate(zip(values.tolist(), spacing.tolist(), strict=True)):
-        change = target - demand
-        if not isfinite(change):
-            demand = target
-            continue
-        needed = abs(change) / ramp
-        if needed <= span:
-            short[row] = -change * needed / (2.0 * span)
-            demand = target
-        else:
-            moved = copysign(ramp * span, change)
-            short[row] = 0.5 * moved - change
-            demand += moved
-    return short
+    steps = [limiter.step(target, span) for target, span in zip(values.tolist(), spacing.tolist(), strict=True)]
+    return np.array(steps, dtype=np.float64)
 
 
 def _columns(columns: Sequence[Array], part: slice) -> Array:

@@ -5,9 +5,10 @@ motions: where an expression is not linear, the slope of the secant between plus
 or command (models.parts) is taken. Dry friction is then a damping, and a deadband a smaller gain. A secant says whether
 motions of that size grow; what dry friction and backlash do to smaller ones, the predicted experiments show.
 
-A delay is a Padé approximation of second order, a lag a state. Effects on sensors change what the controller sees of
-the states. States of an effect become states of the linear model, if their equations are linear; a memory that is not
-linear, as that of hysteresis or backlash, has no linear model, and the effect is left out.
+A delay is a Padé approximation of second order, a lag a state. Effects on the way of a setpoint are those in the model
+of the actuators alone, where there is one. Effects on sensors change what the controller sees of the states. States of
+an effect become states of the linear model, if their equations are linear; a memory that is not linear, as that of
+hysteresis or backlash, has no linear model, and the effect is left out.
 
 Source: Gelb, Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design (1968), for the idea.
 """
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from upright.models.compiler.equations import Equations, compose
 from upright.models.control_design.lqi import Matrix, StateSpace
 from upright.models.model import Model
-from upright.models.parts import Parameter
+from upright.models.parts import Output, Parameter, State
 from upright.models.sensing import delayed
 
 Array = NDArray[np.float64]
@@ -74,18 +75,80 @@ class LinearEffects:
                     if variable in states:
                         seen[plant.states.index(output.name), states.index(variable)] += slope
         rows = [states.index(name) for name in described]
-        for variable, delay, lag in self._shifts(values):
+        for variable, delay, lag in _shifts(self._model, self._with, values):
             for shift in filter(None, (_pade(delay), _lag(lag))):
                 A, B = _shifted(A, B, rows, _as_states(variable, states, plant), shift)
         seen = np.pad(seen, ((0, 0), (0, len(A) - len(states))))
         return replace(plant, A=A, B=B, C=plant.C @ seen, measured=seen)
 
-    def _shifts(self, values: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-        """(input, delay, lag) in s, by the effects alone."""
-        effects, lags = self._model.effects, self._with.lags
-        for each, lag in zip(self._model.inputs, lags, strict=True):
-            delays = (values[a.qualified(a.effect.delay)] for a in effects if each.name in delayed(self._model, a))
-            yield each.name, sum(delays), values[lag] if lag and lag != each.lag else 0.0
+
+class CommandEffects:
+    """The effects on the way of a setpoint, in a model of the actuators alone, as LinearEffects has those of a vehicle.
+
+    A parameter has the actuator's name before its own: the vehicle's model may have the same effect.
+    """
+
+    def __init__(self, model: Model) -> None:
+        """Raises ModelError if an expression of the model is invalid."""
+        path = _command_path(model)
+        self.left_out: tuple[str, ...] = ()  # nothing on the way of a command has a state
+        self._path, self._secants = path, _Secants.of(path)
+        needed = _linear_parameters(path)
+        depends = [(each.name, p) for each in path.effects for p in each.parameters if p.name in needed and p.value]
+        self.parameters = tuple(replace(parameter, name=self._named(parameter.name)) for _, parameter in depends)
+        self.names = tuple(dict.fromkeys(effect for effect, _ in depends))
+
+    def _named(self, parameter: str) -> str:
+        return f"{self._path.actuators[0].name}.{parameter}"
+
+    def on(self, plant: StateSpace, factors: Mapping[str, float]) -> StateSpace:
+        """`plant` with the effects on its input of that name; their parameters are at `factors` of their values."""
+        command = self._path.inputs[0].name
+        if command not in plant.inputs:
+            return plant
+        values = {name: factors.get(self._named(name), 1.0) * value for name, value in self._path.values.items()}
+        A, B = plant.A, plant.B.copy()
+        B[:, plant.inputs.index(command)] *= self._secants.at(values)[_ACTING][command]
+        rows = range(len(A))
+        for variable, delay, lag in _shifts(self._path, self._secants, values):
+            for shift in filter(None, (_pade(delay), _lag(lag))):
+                A, B = _shifted(A, B, rows, _as_states(variable, plant.states, plant), shift)
+        more = ((0, 0), (0, len(A) - len(plant.A)))
+        seen = np.eye(len(plant.states)) if plant.measured is None else plant.measured
+        return replace(plant, A=A, B=B, C=np.pad(plant.C, more), measured=np.pad(seen, more))
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """Several effects, one after the other."""
+
+    parts: tuple[LinearEffects | CommandEffects, ...]
+
+    @classmethod
+    def of(cls, model: Model) -> Together:
+        """Those of a model and of its actuators' model. Raises ModelError if an expression of theirs is invalid."""
+        parts: list[LinearEffects | CommandEffects] = [LinearEffects(model)] if model.effects else []
+        if model.actuators_model is not None and model.actuators_model.effects:
+            parts.append(CommandEffects(model.actuators_model))
+        return cls(tuple(parts))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for part in self.parts for name in part.names)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        return tuple(name for part in self.parts for name in part.left_out)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(each for part in self.parts for each in part.parameters)
+
+    def on(self, plant: StateSpace, factors: Mapping[str, float]) -> StateSpace:
+        """`plant` with all of them."""
+        for part in self.parts:
+            plant = part.on(plant, factors)
+        return plant
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +235,34 @@ def _typical(model: Model) -> dict[str, float]:
     for joint in model.joints:
         sizes |= {joint.coordinate: joint.coordinate_scale, joint.rate: joint.rate_scale}
     return sizes
+
+
+_ACTING = "acting"
+
+
+def _command_path(model: Model) -> Model:
+    """What acts of the command of `model`, with the effects on its way: the derivative of the only state."""
+    actuator = model.actuators[0]
+    command = next(each for each in model.inputs if each.name == actuator.command)
+    return replace(
+        model,
+        base_states=(State(_ACTING, f"{command.unit} s", command.name),),
+        inputs=(replace(command, delays=(), lag=""),),
+        outputs=(Output(_ACTING, f"{command.unit} s", _ACTING, noise=1.0),),
+        base_parameters=(),
+        actuators=(replace(actuator, rate="", angle="", gain="", inertia="", lag=""),),
+        joints=(),
+        sensors=(),
+        definitions={},
+        effects=tuple(each for each in model.effects if each.at == actuator.name),
+    )
+
+
+def _shifts(model: Model, secants: _Secants, values: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
+    """(input, delay, lag) in s, by the effects of `model` alone."""
+    for each, lag in zip(model.inputs, secants.lags, strict=True):
+        delays = (values[a.qualified(a.effect.delay)] for a in model.effects if each.name in delayed(model, a))
+        yield each.name, sum(delays), values[lag] if lag and lag != each.lag else 0.0
 
 
 def _shown(output: str) -> str:

@@ -15,9 +15,11 @@ class ModelFile:
 
     `columns`: by channel, the column of a table that it is read from (`COLUMN` or `COLUMN:UNIT`).
     `effect_files`: for the user's own effects, by their name in the model, the path from the model file's folder.
+    `actuators_file`: that of the file of the model of the actuators, "" if there is none.
     """
 
     model: Model
     history: tuple[Mapping[str, Any], ...] = ()
     effect_files: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
+    actuators_file: str = ""

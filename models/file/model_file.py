@@ -37,8 +37,8 @@ def load_model(name_or_path: str | Path) -> Model:
     return library.get(str(name_or_path))
 
 
-def read(path: str | Path) -> ModelFile:
-    """The model file at `path`.
+def read(path: str | Path, *, alone: bool = False) -> ModelFile:
+    """The model file at `path`. If it has to stand `alone`, it has no model of its actuators.
 
     Raises:
         ModelError: no such file, not TOML, or invalid content; names file, key and remedy.
@@ -50,10 +50,10 @@ def read(path: str | Path) -> ModelFile:
         raise ModelError(str(path), f"cannot be read: {error.strerror}", remedy=remedy) from error
     except UnicodeDecodeError as error:
         raise ModelError(str(path), f"is not text in UTF-8 ({error})", remedy="save it as UTF-8.") from error
-    return parse(text, path)
+    return parse(text, path, alone=alone)
 
 
-def parse(text: str, path: str | Path) -> ModelFile:
+def parse(text: str, path: str | Path, *, alone: bool = False) -> ModelFile:
     """The model file with the content `text`; `path` is where it is or will be. Raises ModelError as `read` does."""
     file = str(path)
     try:
@@ -69,7 +69,13 @@ def parse(text: str, path: str | Path) -> ModelFile:
         if entry.file:
             effect_files[attached.name] = entry.file
     _check_columns(model, tables.columns, file)
-    return ModelFile(model, tuple(map(_entry, tables.history)), effect_files, tables.columns)
+    beside = tables.actuators_model or ""
+    if beside and alone:
+        what = "is in a model of actuators, which has no further one"
+        raise ModelError(f"{file}: actuators_model", what, remedy="remove the key.")
+    if beside:
+        model = replace(model, actuators_model=_actuators(model, Path(path).parent / beside, file))
+    return ModelFile(model, tuple(map(_entry, tables.history)), effect_files, tables.columns, beside)
 
 
 def write(file: ModelFile, path: str | Path) -> None:
@@ -83,6 +89,9 @@ def write(file: ModelFile, path: str | Path) -> None:
     path = Path(os.path.realpath(path))
     for attached in file.model.effects:
         _check_origin(attached, file, path)
+    if file.model.actuators_model is not None and not file.actuators_file:
+        remedy = "write the model of its actuators first."
+        raise ModelError(f"{path}: actuators_model", "no file is known for it", remedy=remedy)
     text = None
     if path.exists():
         before = path.read_text(encoding="utf-8")
@@ -97,6 +106,20 @@ def write(file: ModelFile, path: str | Path) -> None:
             what = f"the model {file.model.name} cannot be written so that reading restores it"
             raise ModelError(str(path), what, remedy="build it from a shipped model, or from equations in a file.")
     _replace(path, text)
+
+
+def _actuators(model: Model, path: Path, file: str) -> Model:
+    """The model of the actuators in the file at `path`: it has a command, which is none of the inputs of `model`, and
+    shows the motion that is one. Raises ModelError for any other.
+    """
+    where = f"{file}: actuators_model"
+    found = read(path, alone=True).model
+    inputs = {each.channel for each in model.inputs}
+    commands = {name for each in found.actuators for name in each.commands}
+    if not commands or commands & inputs or inputs.isdisjoint(each.name for each in found.outputs):
+        what = f"{path} is no model from a command to the motion that is an input of {model.name}"
+        raise ModelError(where, what, remedy="name the file that `upright diagnose --auto` wrote beside this one.")
+    return found
 
 
 def _check_columns(model: Model, columns: Mapping[str, str], file: str) -> None:

@@ -196,6 +196,8 @@ class ModelSection(Section):
     source: str | None = None
     settling: NotNegative | None = None
     base: str | None = None
+    actuators_model: Annotated[str, Field(pattern=r"\.toml$")] | None = None
+    """Path of the file of the actuators' model, from this file's folder."""
     states: dict[str, StateSection] = {}
     inputs: dict[str, InputSection] = {}
     outputs: dict[str, OutputSection] = {}

@@ -37,7 +37,11 @@ def fresh(file: ModelFile) -> str:
         if getattr(model, key) != (usual if base is None else getattr(base, key))
     ]
     if base is not None:
-        lines += [f"base = {_toml(base.name)}", "", "[parameters]"]
+        lines += [f"base = {_toml(base.name)}"]
+    if file.actuators_file:
+        lines += [f"actuators_model = {_toml(file.actuators_file)}"]
+    if base is not None:
+        lines += ["", "[parameters]"]
         entries = {
             each.name: _values(each, default, {"value", "std"} if each.std else {"value"})
             for each, default in zip(model.base_parameters, base.base_parameters, strict=True)
@@ -112,6 +116,7 @@ def _bare(model: Model) -> Model:
     return replace(
         model,
         effects=(),
+        actuators_model=None,
         base_parameters=tuple(replace(each, **values) for each in model.base_parameters),
         joints=tuple(replace(each, disturbance=Disturbance()) for each in model.joints),
     )

@@ -72,7 +72,7 @@ def diagnose(
     from upright.service.cli.inputs import load_recordings, share_done
     from upright.service.offline.diagnose import actuators_of, default_budget, diagnosed, report_paths, to_be_completed
     from upright.service.offline.inputs.machine import name_of
-    from upright.service.offline.models import Candidates, columns, written_columns
+    from upright.service.offline.models import Candidates, columns
     from upright.service.offline.provenance import provenance
     from upright.telemetry.tables.mapping import said_of
     from upright.vehicles.file import load
@@ -109,9 +109,11 @@ def diagnose(
             for path, text in zip(pages, texts, strict=True):
                 write_whole(path, text)
     if auto is not None and found.revised is not None:
+        from upright.service.offline.model_files import started
         from upright.service.offline.trail import write_trail
 
-        write_trail(auto, found, answer.model, origin.hashes, candidates.files, written_columns(model))
+        before = replace(started(model, file), model=answer.model)
+        write_trail(auto, found, before, origin.hashes, candidates.files)
     if json:
         print_json({**found.to_json(), "assumed": read.assumed})
     else:

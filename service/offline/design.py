@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from upright.diagnosis.prediction.closed_loop import Course, Experiment, causal, simulate
-from upright.models.control_design.linear_effects import LinearEffects
+from upright.models.control_design.linear_effects import Together
 from upright.models.control_design.robustness import CheckedDesign, Known
 from upright.models.file.model_file import load_model
 from upright.models.model import Model
@@ -203,8 +203,8 @@ def designed(vehicle: VehicleFile, result: Result) -> Designed:
     """
     theirs = vehicle.with_values(result.values, result.deviations)
     parameters = theirs.parameters
-    effects = LinearEffects(result.model) if result.model.effects else None
-    known = Known(parameters.values, parameters.deviations, result.correlation, effects)
+    effects = Together.of(result.model)
+    known = Known(parameters.values, parameters.deviations, result.correlation, effects if effects.parts else None)
     kind = registry.of(vehicle.vehicle.kind)
     designs = kind.designs(theirs, known)
     if not designs:

@@ -1,7 +1,7 @@
 """Model files as they are changed step by step: started, an effect added or removed, written.
 
-Between reading and writing, the paths of the user's own effects (`effect_files`) are absolute, since the folder of the
-next file is not known yet.
+Between reading and writing, the paths of the user's own effects (`effect_files`) and of the model of the actuators
+(`actuators_file`) are absolute, since the folder of the next file is not known yet.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upright.models.effect import Effect
+from upright.models.effect import AttachedEffect, Effect
 from upright.models.file.allowed_code import sha256
 from upright.models.file.document import ModelFile
 from upright.models.file.history import values_of
@@ -39,7 +39,11 @@ def started(given: str | Path | Model | None, vehicle: VehicleFile | None = None
         return ModelFile(identified_model(given, vehicle))
     found = read(str(given))
     folder = Path(str(given)).resolve().parent
-    return replace(found, effect_files={name: str(folder / path) for name, path in found.effect_files.items()})
+    return replace(
+        found,
+        effect_files={name: str(folder / path) for name, path in found.effect_files.items()},
+        actuators_file=str(folder / found.actuators_file) if found.actuators_file else "",
+    )
 
 
 def with_effect(file: ModelFile, effect: str | Path | Effect, at: str = "") -> ModelFile:
@@ -84,14 +88,17 @@ def identified(file: ModelFile, answer: Identified, hashes: Mapping[str, str]) -
 def revised(
     file: ModelFile, found: Diagnosis, hashes: Mapping[str, str], own: Mapping[str, Path], date: object
 ) -> ModelFile:
-    """`file` with the model that a diagnosis `found`, and an entry in its history for each effect that it added.
+    """`file` with the model that a diagnosis `found`, and an entry in its history for each effect that it added. If the
+    actuators lack an effect, their model with it (`of_actuators`) belongs to the model.
 
     `hashes`: SHA-256 of the files of the recordings, by name. `own`: the files of effects of the user's own,
     by the effect's name.
     """
     assert found.revised is not None
     model = without_load(found.revised)
-    in_it = {each.name for each in model.effects}
+    if (actuators := of_actuators(found)) is not None and actuators.revised is not None:
+        model, file = replace(model, actuators_model=actuators.revised), replace(file, actuators_file="")
+    in_it = {each.name: each for each in model.effects}
     entries = tuple(
         {
             "action": "add",
@@ -101,21 +108,60 @@ def revised(
             "sha256": list(hashes.values()),
             "tied_with": list(finding.tied_with),
             "probability": float(f"{finding.probability:.4g}"),
+            **_written(in_it[finding.effect]),
         }
         for finding in found.findings
         if finding.effect in in_it
     )
     files = {each.name: str(own[each.effect.name].resolve()) for each in model.effects if each.effect.name in own}
     kept = {name: path for name, path in file.effect_files.items() if name in in_it}
-    return ModelFile(model, (*file.history, *entries), {**kept, **files})
+    return replace(file, model=model, history=(*file.history, *entries), effect_files={**kept, **files})
+
+
+def _written(effect: AttachedEffect) -> dict[str, Any]:
+    """`values_after` of its parameters whose deviation a fit has written."""
+    known = {each.name: {"value": each.value, "std": each.std} for each in effect.parameters if each.std}
+    return {"values_after": known} if known else {}
+
+
+def of_actuators(found: Diagnosis) -> Diagnosis | None:
+    """The part of a diagnosis that is of the actuators, if they lack an effect: with the deviations of its parameters
+    in the model, since no identification follows that would determine them."""
+    for part in found.parts[1:]:
+        if part.findings and part.revised is not None:
+            known = {
+                name: each.std
+                for finding in part.findings
+                for name, each in finding.parameters.items()
+                if each.std is not None and name in part.revised.values
+            }
+            return replace(part, revised=part.revised.change(deviations=known))
+    return None
 
 
 def save(file: ModelFile, target: Path) -> None:
-    """Write `file` to `target` atomically. Raises ModelError as models.file.model_file.write does."""
+    """Write `file` to `target` atomically. A model of the actuators that has no file yet is written beside it first.
+
+    Raises ModelError as models.file.model_file.write does.
+    """
     if target.suffix != ".toml":
         raise ModelError(str(target), "is not a name of a model file", remedy="use the suffix .toml.")
+    actuators = file.model.actuators_model
+    if actuators is not None and not file.actuators_file:
+        file = replace(file, actuators_file=str(actuators_beside(target)))
+        save(ModelFile(actuators), Path(file.actuators_file))
     folder = target.resolve().parent
-    write(replace(file, effect_files={n: os.path.relpath(p, folder) for n, p in file.effect_files.items()}), target)
+    written = replace(
+        file,
+        effect_files={name: os.path.relpath(path, folder) for name, path in file.effect_files.items()},
+        actuators_file=os.path.relpath(file.actuators_file, folder) if file.actuators_file else "",
+    )
+    write(written, target)
+
+
+def actuators_beside(target: Path) -> Path:
+    """The file of the model of the actuators that belongs to the one in `target`."""
+    return target.with_name(f"{target.stem}-actuators.toml").absolute()
 
 
 def now() -> datetime:

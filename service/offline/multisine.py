@@ -189,8 +189,8 @@ class _Stand:
         """Raises MultisineError if it comes too close to a limit."""
         experiment, samples = self.experiment(section), list[Mapping[str, float]]()
 
-        def controller() -> Controller:
-            step = experiment.controller()
+        def controller(model: Model) -> Controller:
+            step = experiment.controller(model)
 
             def watching(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
                 given = step(time, seen)

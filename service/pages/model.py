@@ -39,6 +39,9 @@ def print_model(shown: Model, history: Iterable[Mapping[str, Any]], to: Console 
     print_parameters(shown.parameters, to)
     effects = [(each.name, each.at, each.effect.family.value, each.effect.equation) for each in shown.effects]
     _print("effects", ("at", "family", "equation"), effects, to)
+    if (actuators := shown.actuators_model) is not None:
+        to.print(f"\nThe actuators have a model of their own, {actuators.name}:", markup=False, soft_wrap=True)
+        print_parameters([each for effect in actuators.effects for each in effect.parameters], to)
     entries = [(str(each.get("date", "")), each["action"], each.get("effect", ""), _rest(each)) for each in history]
     _print("history", ("action", "effect", ""), entries, to)
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import brentq
 
 from upright.diagnosis.prediction.closed_loop import simulate
-from upright.models.control_design.linear_effects import LinearEffects
-from upright.models.control_design.lqi import ControlDesignError, closed_loop, continuous_poles
+from upright.models.control_design.linear_effects import CommandEffects, LinearEffects, Together
+from upright.models.control_design.lqi import ControlDesignError, StateSpace, closed_loop, continuous_poles
 from upright.models.control_design.robustness import Known
 from upright.models.model import Model
 from upright.vehicles import registry
@@ -18,6 +18,7 @@ from upright.vehicles.file import load
 from upright.vehicles.monocab.control.controller import design
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
 from upright.vehicles.monocab.file import MonocabFile
+from upright.vehicles.monocab.gimbals import MONOCAB_GIMBALS
 from upright.vehicles.monocab.model import MONOCAB_ROLL
 
 SHIPPED = load("monocab")
@@ -31,7 +32,7 @@ def with_effect(name: str, **values: float) -> Model:
     return MONOCAB_ROLL.add(name).change({f"{name}.{key}": value for key, value in values.items()})
 
 
-def known(effects: LinearEffects, share: float = 0.02) -> Known:
+def known(effects: LinearEffects | Together, share: float = 0.02) -> Known:
     values = VEHICLE.parameters.values
     return Known(values, {name: share * abs(value) for name, value in values.items()}, {}, effects)
 
@@ -124,6 +125,51 @@ def test_uncertain_effect_is_tried_within_its_bounds() -> None:
     factors = np.array([dict(each)["viscous_friction.coefficient"] for each in points])
     assert factors.min() == 0.0
     assert factors.max() > 2.0
+
+
+class TestCommand:
+    """The effects on the way of the gimbals' setpoint, which are in the model of the gimbals alone."""
+
+    def gimbals(self, name: str, **values: float) -> Model:
+        return MONOCAB_GIMBALS.add(name).change({f"{name}.{key}": value for key, value in values.items()})
+
+    @pytest.mark.parametrize("plant", [PLANT, full_model(PARAMETERS)], ids=["reduced", "full"])
+    def test_a_delay_turns_the_phase_of_that_setpoint_alone(self, plant: StateSpace) -> None:
+        late = CommandEffects(self.gimbals("input_delay", delay=0.012)).on(plant, {})
+        before, after = (np.linalg.solve(20.0j * np.eye(len(each.A)) - each.A, each.B)[0] for each in (plant, late))
+        expected = np.where(np.array(plant.inputs) == "precession_rate_setpoint", np.exp(-0.24j), 1.0)
+        np.testing.assert_allclose(after / before, expected, atol=1e-4)
+
+    def test_deadband_and_gain_change_how_much_of_a_setpoint_acts(self) -> None:
+        found = CommandEffects(self.gimbals("input_gain", gain=-0.2)).on(PLANT, {"gimbals.input_gain.gain": 2.0})
+        np.testing.assert_allclose(found.B, 0.6 * PLANT.B)
+        found = CommandEffects(self.gimbals("input_deadband", width=0.01)).on(PLANT, {})
+        np.testing.assert_allclose(found.B, 0.9 * PLANT.B, rtol=0.02)
+
+    def test_another_plant_is_left_as_it_is(self) -> None:
+        other = replace(PLANT, inputs=("torque",))
+        assert CommandEffects(self.gimbals("input_delay", delay=0.012)).on(other, {}) is other
+
+    def test_those_of_vehicle_and_actuators_come_together(self) -> None:
+        model = with_effect("viscous_friction", coefficient=400.0)
+        model = replace(model, actuators_model=self.gimbals("input_delay", delay=0.012))
+        both = Together.of(model)
+        assert both.names == ("viscous_friction", "input_delay")
+        assert [each.name for each in both.parameters] == ["viscous_friction.coefficient", "gimbals.input_delay.delay"]
+        plant = both.on(PLANT, {})
+        assert plant.A[1, 1] == pytest.approx(-400.0 / PARAMETERS.inertia)
+        found = np.linalg.solve(20.0j * np.eye(len(plant.A)) - plant.A, plant.B)[0, 0]
+        alone = LinearEffects(with_effect("viscous_friction", coefficient=400.0)).on(PLANT, {})
+        bare = np.linalg.solve(20.0j * np.eye(len(alone.A)) - alone.A, alone.B)[0, 0]
+        assert found / bare == pytest.approx(np.exp(-0.24j), abs=1e-4)
+
+    def test_they_are_in_margins_and_worst_corner(self) -> None:
+        bare = design(VEHICLE, known=known(Together.of(MONOCAB_ROLL)))
+        late = replace(MONOCAB_ROLL, actuators_model=self.gimbals("input_delay", delay=0.012))
+        found = design(VEHICLE, known=known(Together.of(late)))
+        before, after = (each.margins["precession_rate_setpoint"].delay for each in (bare, found))
+        assert after == pytest.approx(before - 0.012, abs=5e-4)
+        assert "gimbals.input_delay.delay" in dict(found.worst.factors)
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.8, True), (1.2, False)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from math import degrees, radians
 
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
@@ -56,7 +55,7 @@ def _experiment(name: str, section: ExperimentSection, vehicle: CubeFile, gains:
         parameters=section.model_dump(exclude_none=True, exclude={"title"}),
         duration=excitation.duration,
         period=vehicle.period,
-        controller=partial(_loop, vehicle, gains, excitation),
+        controller=lambda model: _loop(vehicle, gains, excitation),
         limits=(
             Limit("tilt", min(upright, floor), "deg", leaning, turn),
             Limit("tilt_rate", radians(limits.tilt_rate_deg), "deg/s", "of limits.tilt_rate_deg", turn),

@@ -48,7 +48,7 @@ def recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
     return Loop(
         begins=record.time[record.first],
         ends=record.time[record.last],
-        controller=partial(_loop, vehicle, gains, record),
+        controller=lambda model: partial(_loop, vehicle, gains, record),
         needs=frozenset(MEASURED),
         gives=frozenset({"torque"}),
         channels=COMPARED,

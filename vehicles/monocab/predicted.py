@@ -6,18 +6,21 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from math import degrees, expm1, radians
 
+from upright.diagnosis.prediction.actuator_motion import ActuatorMotion, motion_of
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from upright.estimators.data.segments import SUPPORT_MARGIN
 from upright.estimators.speed_loop_steps import SpeedLoopSteps
 from upright.models.control_design.lqi import ControlDesignError
 from upright.models.control_design.robustness import CheckedDesign
 from upright.models.gravity import GRAVITY
+from upright.models.model import Model
 from upright.vehicles.experiment.excitation import Excitation, ExcitationError, make_excitation
 from upright.vehicles.monocab.control.controller import RollController, design
 from upright.vehicles.monocab.control.full import FullController, FullState, full_if_used, speed_loops
 from upright.vehicles.monocab.control.linear_model import MonocabParameters
 from upright.vehicles.monocab.control.roll_design import RollDesign
 from upright.vehicles.monocab.file import FULL, MonocabFile
+from upright.vehicles.monocab.gimbals import COMMAND
 from upright.vehicles.monocab.handling import entering
 from upright.vehicles.sections import ExperimentSection
 
@@ -87,7 +90,19 @@ def _experiment(
     )
 
 
-def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitation) -> Controller:
+def _gimbals(
+    model: Model, excitation: Excitation, period: float, follow: Callable[[float], float]
+) -> Callable[[float, Mapping[str, float]], float]:
+    """The precession rate at the next sample, from the setpoint and what is seen: by the model of the actuators that
+    belongs to `model`, or else by how they `follow` a setpoint."""
+    actuators = motion_of(model, COMMAND)
+    if actuators is None:
+        return lambda setpoint, seen: follow(setpoint)
+    motion = ActuatorMotion(actuators, period, round(excitation.duration / period) + 1, 0.0)
+    return lambda setpoint, seen: motion.step(setpoint, seen)["precession_rate"]
+
+
+def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitation, model: Model) -> Controller:
     """The full controller with the excitation in it, and gimbals and trim mass, for models whose input is their motion.
 
     Their drives follow as the controller computes it. The trim mass also yields to its weight as the vehicle leans, and
@@ -96,30 +111,36 @@ def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitati
     """
     controller = FullController.from_design(design, vehicle)
     controller.take_over(FullState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0)
-    _, gimbals = speed_loops(design.gains)
+    _, speed_loop = speed_loops(design.gains)
+
+    def follow(setpoint: float) -> float:
+        speed_loop.step(setpoint)
+        return speed_loop.rate
+
     period, parameters = vehicle.period, MonocabParameters.from_values(vehicle.parameters.values)
     lag, height = parameters.trim_lag, parameters.trim_height
     trim = SpeedLoopSteps(lag, 0.0, 0.5 * lag**2, period, 0.0)
-    trim_position = precession = trim_rate = roll_rate = 0.0
+    gimbals = _gimbals(model, excitation, period, follow)
+    trim_position = precession = precession_rate = trim_rate = roll_rate = 0.0
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
-        nonlocal trim_position, precession, trim_rate, roll_rate
+        nonlocal trim_position, precession, precession_rate, trim_rate, roll_rate
         value, before = excitation.value(time), controller.setpoint
         reference, output, of_trim = entering(excitation.at, value)
         precession = seen.get("precession", precession)
-        rate = seen.get("precession_rate", gimbals.rate)
+        rate = seen.get("precession_rate", precession_rate)
         state = FullState(seen["roll"] - reference, seen["roll_rate"], trim_position, trim_rate, precession, rate)
         controller.step(state, period, output)
-        trim_before, rate_before = trim_rate, gimbals.rate
+        trim_before, rate_before = trim_rate, precession_rate
         pushed = GRAVITY * seen["roll"] - height * (seen["roll_rate"] - roll_rate) / period
         roll_rate = seen["roll_rate"]
         trim_rate = trim.step(controller.trim_setpoint + of_trim, -pushed)
-        gimbals.step(controller.setpoint)
+        precession_rate = gimbals(controller.setpoint, seen)
         trim_position += 0.5 * period * (trim_before + trim_rate)
-        precession += 0.5 * period * (rate_before + gimbals.rate)
+        precession += 0.5 * period * (rate_before + precession_rate)
         return {
             "precession_rate_setpoint": controller.setpoint,
-            "precession_rate": gimbals.rate,
+            "precession_rate": precession_rate,
             "precession": precession,
             "trim_position": trim_position,
             "trim_rate": trim_rate,
@@ -130,13 +151,14 @@ def _full_loop(vehicle: MonocabFile, design: CheckedDesign, excitation: Excitati
     return step
 
 
-def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation) -> Controller:
+def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation, model: Model) -> Controller:
     """The vehicle's controller with the excitation in it, and the gimbals, for models whose input is their motion."""
     controller = RollController.from_design(gains, vehicle)
     period = vehicle.period
     lags = gains.parameters.speed_loop_lag, gains.parameters.trim_lag
     follows, trim_follows = (-expm1(-period / lag) for lag in lags)
     rate = precession = before = trim_rate = trim_position = 0.0
+    gimbals = _gimbals(model, excitation, period, lambda setpoint: rate + follows * (setpoint - rate))
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal rate, precession, before, trim_rate, trim_position
@@ -144,7 +166,7 @@ def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation) -> Co
         precession = seen.get("precession", precession)
         reference, output, of_trim = entering(excitation.at, excitation.value(time))
         setpoint = controller.step(seen["roll"], seen["roll_rate"], rate, precession, reference, period, output)
-        after = rate + follows * (setpoint - rate)
+        after = gimbals(setpoint, seen)
         precession += 0.5 * period * (rate + after)
         rate = after
         trim_after = trim_rate + trim_follows * (of_trim - trim_rate)

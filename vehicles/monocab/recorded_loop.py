@@ -6,7 +6,8 @@ on the roll reference or on the output.
 
 For models to which the motion of gimbals and trim mass is an input, the drives' speed loops are those identified from
 the recording (estimators.methods.drive_lag). If a setpoint acts later than one control cycle after its sample, this is
-a delay and not a property of the drive: it is left out here, and belongs to the model.
+a delay and not a property of the drive: it is left out here, and belongs to the model. If the model has one of its
+actuators (models.model.Model.actuators_model), these move as that says, with the effects on the way of the setpoints.
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from upright.diagnosis.prediction.actuator_motion import ActuatorMotion, motion_of
 from upright.diagnosis.prediction.closed_loop import Controller
 from upright.diagnosis.prediction.closed_loop_error import Loop
 from upright.estimators.contract import Estimate
 from upright.estimators.speed_loop import RUN_IN
 from upright.estimators.speed_loop_steps import SpeedLoopSteps
 from upright.models.control_design.robustness import CheckedDesign
+from upright.models.model import Model
 from upright.telemetry.errors import UprightError
 from upright.telemetry.recording import Recording
 from upright.vehicles.contract import Command, Lean
@@ -69,9 +72,11 @@ MEASURED = ("roll", "roll_rate", *(channel for axis in (GIMBALS, TRIM) for chann
 @dataclass(frozen=True, slots=True)
 class _Drive:
     """The drive of an axis as identified: `loop` makes its speed loop, in steady state at `setpoint`, and a setpoint is
-    under way for `late` samples. `rate` and `position` are the recorded ones at the sampling instants."""
+    under way for `late` samples. Setpoints were `sent` s after their samples. `rate` and `position` are the recorded
+    ones at the sampling instants."""
 
     axis: _Axis
+    sent: float
     loop: partial[SpeedLoopSteps]
     late: int
     rate: list[float]
@@ -125,7 +130,7 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     return Loop(
         begins=record.time[record.first],
         ends=record.time[record.last],
-        controller=partial(_loop, balancing, record, at, drives),
+        controller=lambda model: partial(_loop, balancing, record, at, drives, model),
         needs=frozenset({"roll", "roll_rate"}),
         gives=frozenset(channel for axis in balancing.driven for channel in (axis.setpoint, axis.rate, axis.position)),
         channels=("roll", "precession", "trim_position") if balancing.full else ("roll", "precession_rate"),
@@ -164,6 +169,7 @@ def _identified(axis: _Axis, recording: Recording, record: Recorded, sent: float
     time, age = recording.time, recording["drive_age"]
     return _Drive(
         axis,
+        sent,
         partial(SpeedLoopSteps, lag, offset, reaction[0] if reaction else 0.0, record.period),
         int(whole),
         rate=np.interp(time, time - age, recording[axis.rate]).tolist(),
@@ -192,22 +198,25 @@ def _step(handling: GimbalHandling, record: Recorded, row: int, measured: list[f
 
 
 class _Motion:
-    """An axis in the loop: its drive, the setpoints under way to it, its rate and position at the samples so far."""
+    """An axis in the loop: how it follows its setpoints, its rate and position at the samples so far."""
 
-    def __init__(self, drive: _Drive, loop: SpeedLoopSteps, first: int, setpoint: float) -> None:
-        self._axis, self._loop = drive.axis, loop
-        self._under_way = deque([setpoint] * drive.late)
+    def __init__(self, drive: _Drive, follow: Callable[[float, Mapping[str, float]], float], first: int) -> None:
+        self._axis, self._follow = drive.axis, follow
         self._rates, self._positions = drive.rate[: first + 1], drive.position[: first + 1]
 
     @classmethod
-    def before(cls, drive: _Drive, record: Recorded, first: int) -> Self:
-        """As it was before sample `first`."""
+    def before(cls, drive: _Drive, record: Recorded, first: int, model: Model) -> Self:
+        """As it was before sample `first`, by the model of the actuators that belongs to `model` if there is one."""
         sent, rolled = record.values[drive.axis.setpoint], record.values["roll_rate"]
         begin = max(0, first - round(RUN_IN / record.period))
-        motion = cls(drive, drive.loop(setpoint=sent[begin]), first, sent[begin])
+        actuators = motion_of(model, drive.axis.setpoint)
+        if actuators is None:
+            follow = _identified_drive(drive, sent[begin])
+        else:
+            follow = _modelled_drive(drive, actuators, record.period, record.last + 1 - begin, sent[begin])
         for row in range(begin, first):
-            motion._follow(sent[row], rolled[row])
-        return motion
+            follow(sent[row], {"roll_rate": rolled[row]})
+        return cls(drive, follow, first)
 
     def reported(self, row: int, seen: Mapping[str, float], age: float) -> list[float]:
         """Rate and position as the drive reports them at sample `row`, `age` samples old. If the drives are sampled
@@ -222,22 +231,39 @@ class _Motion:
     def go_on(self, row: int, seen: Mapping[str, float], setpoint: float, period: float) -> dict[str, float]:
         """The inputs that follow from `setpoint`, sent at sample `row`: rate and position at the next one."""
         axis, rates, positions = self._axis, self._rates, self._positions
-        following = self._follow(setpoint, seen["roll_rate"])
+        following = self._follow(setpoint, seen)
         # A model with drives of its own gives their rate; up to the next sample it is extrapolated linearly.
         rates.append(2.0 * rates[row] - rates[row - 1] if axis.rate in seen else following)
         positions.append(positions[row] + 0.5 * period * (rates[row] + rates[row + 1]))
         return {axis.setpoint: setpoint, axis.rate: rates[row + 1], axis.position: positions[row + 1]}
 
-    def _follow(self, setpoint: float, roll_rate: float) -> float:
-        self._under_way.append(setpoint)
-        return self._loop.step(self._under_way.popleft(), roll_rate)
+
+def _identified_drive(drive: _Drive, setpoint: float) -> Callable[[float, Mapping[str, float]], float]:
+    """The rate one sample later, from a setpoint and what is seen; in steady state at `setpoint`."""
+    loop, under_way = drive.loop(setpoint=setpoint), deque([setpoint] * drive.late)
+
+    def follow(sent: float, seen: Mapping[str, float]) -> float:
+        under_way.append(sent)
+        return loop.step(under_way.popleft(), seen["roll_rate"])
+
+    return follow
 
 
-def _loop(balancing: _Balancing, record: Recorded, at: str, drives: list[_Drive], begins: float) -> Controller:
+def _modelled_drive(
+    drive: _Drive, actuators: Model, period: float, samples: int, setpoint: float
+) -> Callable[[float, Mapping[str, float]], float]:
+    """The same by a model of the `actuators`, for so many samples."""
+    motion = ActuatorMotion(actuators, period, samples, setpoint, drive.sent)
+    return lambda sent, seen: motion.step(sent, seen)[drive.axis.rate]
+
+
+def _loop(
+    balancing: _Balancing, record: Recorded, at: str, drives: list[_Drive], model: Model, begins: float
+) -> Controller:
     """The controller and the drives in their state at the sample at `begins` s."""
     first = record.row(begins)
     handling, _ = _replayed(balancing, record, at, first)
-    motions = [_Motion.before(drive, record, first) for drive in drives]
+    motions = [_Motion.before(drive, record, first, model) for drive in drives]
     still = [record.values[name] for name in (TRIM.rate, TRIM.position)]
     row = first - 1
 

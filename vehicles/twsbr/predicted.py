@@ -8,7 +8,6 @@ a prediction takes them as those of the sample itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from math import degrees, radians
 
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
@@ -63,7 +62,7 @@ def _experiment(name: str, section: ExperimentSection, vehicle: TwsbrFile) -> Ex
         parameters=section.model_dump(exclude_none=True, exclude={"title"}),
         duration=excitation.duration,
         period=vehicle.period,
-        controller=partial(_loop, vehicle, excitation),
+        controller=lambda model: _loop(vehicle, excitation),
         limits=(
             Limit("tilt", min(upright, floor), "deg", leaning, turn),
             Limit("tilt_rate", radians(limits.tilt_rate_deg), "deg/s", "of limits.tilt_rate_deg", turn),

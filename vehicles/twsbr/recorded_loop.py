@@ -48,7 +48,7 @@ def recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
     return Loop(
         begins=record.time[record.first],
         ends=record.time[record.last],
-        controller=partial(_loop, vehicle, record, at),
+        controller=lambda model: partial(_loop, vehicle, record, at),
         needs=frozenset((*TILT, *WHEELS)),
         gives=frozenset(VOLTAGES),
         channels=COMPARED,

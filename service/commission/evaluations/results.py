@@ -13,6 +13,7 @@ from typing import Any
 
 from upright.estimators.identify.table import Domain
 from upright.service.commission.evidence import Evidence, Found
+from upright.service.offline.model_files import actuators_beside
 from upright.service.whole_file import write_whole
 from upright.vehicles.commissioning import CommissioningError, Number
 
@@ -168,7 +169,8 @@ def _diagnosis(
     }
     text = [str(each["explanation"]) for each in document["findings"]]
     verdict = document["reason"] or str(document["verdict"]).replace("_", " ")
-    files = [result, *written, *([model] if model is not None else [])]
+    beside = [] if model is None else [model, actuators_beside(model)]
+    files = [result, *written, *(path for path in beside if path.is_file())]
     return Found(numbers, text or [verdict], files, result if model is None else None, model)
 
 

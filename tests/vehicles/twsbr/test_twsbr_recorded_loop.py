@@ -131,7 +131,7 @@ class TestTheRecordedLoop:
         loop = recorded_loop(VEHICLE, recording)
         assert isinstance(loop, Loop)
         first, last = (int(np.searchsorted(recording.time, each)) for each in (loop.begins, loop.ends))
-        step = loop.controller(loop.begins)
+        step = loop.controller(get("twsbr"))(loop.begins)
         for row in range(first, last):
             given = step(float(recording.time[row]), {name: float(recording[name][row]) for name in loop.needs})
             assert given["left_voltage"] == pytest.approx(recording["left_voltage"][row], abs=1.1e-3)
