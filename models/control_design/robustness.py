@@ -123,16 +123,21 @@ class Estimated:
 
     def points(self) -> Iterator[Factors]:
         """The ends of the principal axes of the region, the corners between them on its surface, and random draws.
-        Parameters of effects stay within their bounds."""
+        Parameters of the design are positive by nature: a draw in which one is not, far beyond the region, is drawn
+        again. Parameters of effects stay within their bounds."""
         size = len(self.names)
         squares, axes = np.linalg.eigh(self.covariance)
         axes = axes * np.sqrt(np.maximum(squares, 0.0))
         radius = float(np.sqrt(2.0 * gammaincinv(0.5 * size, REGION)))  # quantile of chi-square
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=size))) / np.sqrt(size)
-        random = np.random.default_rng(1).standard_normal((self.draws, size))
         least, most = self._bounds()
-        for direction in np.concatenate((radius * np.eye(size), -radius * np.eye(size), radius * corners, random)):
-            factors = np.clip(self.values + axes @ direction, least, most) / self.values
+
+        def at(direction: NDArray[np.float64]) -> NDArray[np.float64]:
+            factors: NDArray[np.float64] = np.clip(self.values + axes @ direction, least, most) / self.values
+            return factors
+
+        for direction in np.concatenate((radius * np.eye(size), -radius * np.eye(size), radius * corners)):
+            factors = at(direction)
             if np.min(factors[: self._designed]) <= 0.0:
                 name = self.names[int(np.argmin(factors[: self._designed]))]
                 raise ControlDesignError(
@@ -140,6 +145,12 @@ class Estimated:
                     remedy="record a longer or stronger excitation, and identify again.",
                 )
             yield tuple(zip(self.names, factors.tolist(), strict=True))
+        random, left = np.random.default_rng(1), self.draws
+        while left:
+            factors = at(random.standard_normal(size))
+            if np.min(factors[: self._designed]) > 0.0:
+                left -= 1
+                yield tuple(zip(self.names, factors.tolist(), strict=True))
 
     @property
     def _designed(self) -> int:
