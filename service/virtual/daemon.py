@@ -23,6 +23,11 @@ READY_TIMEOUT = 30.0
 """s for the drives to be set up and the roll filter to settle. What is not ready then, an interlock names."""
 
 
+LEASE = 2.0
+"""s, the longest that a vehicle file may have. The vehicle waits for the daemon: a terminal that a busy computer holds
+up for half a second endangers nothing."""
+
+
 @contextmanager
 def daemon_beside(
     vehicle: VehicleFile,
@@ -47,8 +52,10 @@ def daemon_beside(
     made: list[Daemon] = []
     there = threading.Event()
 
+    patient = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"lease": LEASE})})
+
     async def serve() -> None:
-        made.append(Daemon(vehicle, places, lock_step=True))
+        made.append(Daemon(patient, places, lock_step=True))
         started.append(asyncio.get_running_loop())
         there.set()
         await made[0].run()
