@@ -63,4 +63,4 @@ class ActuatorMotion:
 def motion_of(model: Model, channel: str) -> Model | None:
     """The model of the actuators of `model` whose command is `channel`; None if there is none."""
     actuators = model.actuators_model
-    return actuators if actuators is not None and channel in (actuators.actuators[0].commands) else None
+    return actuators if actuators is not None and channel in actuators.actuators[0].commands else None

@@ -50,6 +50,8 @@ POINTS = (ROLL_REFERENCE, CONTROLLER_OUTPUT)
 """Where an excitation may enter that leaves the trim mass to the controller."""
 
 Array = NDArray[np.float64]
+Follow = Callable[[float, Mapping[str, float]], float]
+"""From the setpoint that is sent at a sample, and what is seen there, to the axis' rate at the next sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +202,7 @@ def _step(handling: GimbalHandling, record: Recorded, row: int, measured: list[f
 class _Motion:
     """An axis in the loop: how it follows its setpoints, its rate and position at the samples so far."""
 
-    def __init__(self, drive: _Drive, follow: Callable[[float, Mapping[str, float]], float], first: int) -> None:
+    def __init__(self, drive: _Drive, follow: Follow, first: int) -> None:
         self._axis, self._follow = drive.axis, follow
         self._rates, self._positions = drive.rate[: first + 1], drive.position[: first + 1]
 
@@ -238,8 +240,8 @@ class _Motion:
         return {axis.setpoint: setpoint, axis.rate: rates[row + 1], axis.position: positions[row + 1]}
 
 
-def _identified_drive(drive: _Drive, setpoint: float) -> Callable[[float, Mapping[str, float]], float]:
-    """The rate one sample later, from a setpoint and what is seen; in steady state at `setpoint`."""
+def _identified_drive(drive: _Drive, setpoint: float) -> Follow:
+    """By its speed loop, in steady state at `setpoint`."""
     loop, under_way = drive.loop(setpoint=setpoint), deque([setpoint] * drive.late)
 
     def follow(sent: float, seen: Mapping[str, float]) -> float:
@@ -249,10 +251,8 @@ def _identified_drive(drive: _Drive, setpoint: float) -> Callable[[float, Mappin
     return follow
 
 
-def _modelled_drive(
-    drive: _Drive, actuators: Model, period: float, samples: int, setpoint: float
-) -> Callable[[float, Mapping[str, float]], float]:
-    """The same by a model of the `actuators`, for so many samples."""
+def _modelled_drive(drive: _Drive, actuators: Model, period: float, samples: int, setpoint: float) -> Follow:
+    """By a model of the `actuators`, for so many `samples` after those at `setpoint`."""
     motion = ActuatorMotion(actuators, period, samples, setpoint, drive.sent)
     return lambda sent, seen: motion.step(sent, seen)[drive.axis.rate]
 
