@@ -40,12 +40,15 @@ SHORTER = {
 }
 """s, of experiments that are longer than is needed to show that they run in real time."""
 SHAKEN = ("--hide", "disturbance=8,0.3")
-HIDDEN = ("", "coulomb_friction", "viscous_friction", "input_delay")
+SLOWER = "[full_controller]\neffort_weight = 8.0\n"
+"""As the step `full` advises with setpoints that are 12 ms late: as shipped, they leave too small margins."""
+HIDDEN = {"": "", "coulomb_friction": "", "viscous_friction": "", "input_delay": SLOWER}
+"""With what the vehicle file says besides."""
 
 
 @contextmanager
-def commissioned(folder: Path, *simulate: str) -> Iterator[Rig]:
-    """A virtual MONOCAB on SocketCAN, whose experiments are SHORTER."""
+def commissioned(folder: Path, *simulate: str, more: str = "") -> Iterator[Rig]:
+    """A virtual MONOCAB on SocketCAN, whose experiments are SHORTER, with `more` in its file."""
     vehicle = load("monocab")
     estimators_of(vehicle).join()
     text = Path(vehicle.path).read_text()
@@ -53,7 +56,7 @@ def commissioned(folder: Path, *simulate: str) -> Iterator[Rig]:
         text = re.sub(rf"(\[experiments\.{name}\][^\[]*?\nduration = )[\d.]+", rf"\g<1>{duration}", text, count=1)
     # The drives of the rig wait longer for their master, so that the silence has to be longer, too.
     text = text.replace("width = 0.5  ", "width = 1.2  ")
-    with shared.rig(folder, text, *simulate) as made:
+    with shared.rig(folder, f"{text}\n{more}", *simulate) as made:
         yield made
 
 
@@ -101,18 +104,23 @@ def test_the_whole_way_ends_with_a_controller_that_holds_a_person(rig: Rig) -> N
     assert number(entries["disturbance"], "final_precession") == pytest.approx(0.0, abs=0.5)
 
 
-@pytest.mark.parametrize("hidden", of_many(HIDDEN, "coulomb_friction"))
+@pytest.mark.parametrize("hidden", of_many(list(HIDDEN), "coulomb_friction"))
 def test_a_shaken_vehicle_is_commissioned_and_what_it_hides_is_found(hidden: str, tmp_path: Path) -> None:
     """Shaken by 8 N m RMS, with a hidden effect; the last step compares the loop, octave by octave, with its model."""
-    with commissioned(tmp_path, *SHAKEN, *(("--hide", hidden) if hidden else ())) as rig:
+    hide = ("--hide", hidden) if hidden else ()
+    with commissioned(tmp_path, *SHAKEN, *hide, more=HIDDEN[hidden]) as rig:
         entries = carried_out(rig, "response")
     folder, effects = rig.data / "commissioning", entries["effects"]
     assert "The commissioning is complete" in (folder / "report.html").read_text()
     (document,) = (json.loads((folder / name).read_text()) for name in effects.files if name.endswith(".json"))
     wanted = [hidden] if hidden else []
     assert [each["effect"] for each in document["findings"]] == wanted, effects.text
-    # An effect of the setpoints is one of the drives, which have no model file here.
-    added = [each.name for each in load_model(folder / effects.model).effects] if effects.model else []
-    assert added == [each for each in wanted if CATALOGUE[each].place is not Place.ACTUATOR]
+    assert bool(effects.model) is bool(wanted)
+    if effects.model:
+        model = load_model(folder / effects.model)
+        of_actuators = model.actuators_model.effects if model.actuators_model is not None else ()
+        of_commands = [each for each in wanted if CATALOGUE[each].place is Place.ACTUATOR]
+        assert [each.name for each in of_actuators] == of_commands
+        assert [each.name for each in model.effects] == [each for each in wanted if each not in of_commands]
     assert number(entries["disturbance"], "final_precession") == pytest.approx(0.0, abs=2.0)
     assert {"gain_off", "phase_off"} <= entries["response"].numbers.keys()
