@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
+from scipy.special import gammaincinv, ndtri
 
 from upright.models.control_design.lqi import (
     ControlDesignError,
@@ -123,32 +123,35 @@ class Estimated:
 
     def points(self) -> Iterator[Factors]:
         """The ends of the principal axes of the region, the corners between them on its surface, and random draws.
-        Parameters of the design are positive by nature: a draw in which one is not, far beyond the region, is drawn
-        again. Parameters of effects stay within their bounds."""
+
+        Parameters of the design are positive by nature: points at which one is not, which a value with a large
+        deviation has among several others, are no vehicle and are left out. Parameters of effects stay within their
+        bounds. Raises ControlDesignError if what is known of a parameter alone does not tell its sign."""
         size = len(self.names)
+        extent = ndtri(0.5 + 0.5 * REGION) * np.sqrt(np.diag(self.covariance))
+        for place in range(self._designed):
+            if self.values[place] <= extent[place]:
+                name = self.names[place]
+                raise ControlDesignError(
+                    f"the estimate of {name} is too uncertain for a controller: it may have the other sign.",
+                    remedy="record a longer or stronger excitation, and identify again.",
+                )
         squares, axes = np.linalg.eigh(self.covariance)
         axes = axes * np.sqrt(np.maximum(squares, 0.0))
         radius = float(np.sqrt(2.0 * gammaincinv(0.5 * size, REGION)))  # quantile of chi-square
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=size))) / np.sqrt(size)
         least, most = self._bounds()
 
-        def at(direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        def at(direction: NDArray[np.float64]) -> NDArray[np.float64] | None:
             factors: NDArray[np.float64] = np.clip(self.values + axes @ direction, least, most) / self.values
-            return factors
+            return factors if np.min(factors[: self._designed]) > 0.0 else None
 
         for direction in np.concatenate((radius * np.eye(size), -radius * np.eye(size), radius * corners)):
-            factors = at(direction)
-            if np.min(factors[: self._designed]) <= 0.0:
-                name = self.names[int(np.argmin(factors[: self._designed]))]
-                raise ControlDesignError(
-                    f"the estimate of {name} is too uncertain for a controller: it may have the other sign.",
-                    remedy="record a longer or stronger excitation, and identify again.",
-                )
-            yield tuple(zip(self.names, factors.tolist(), strict=True))
+            if (factors := at(direction)) is not None:
+                yield tuple(zip(self.names, factors.tolist(), strict=True))
         random, left = np.random.default_rng(1), self.draws
         while left:
-            factors = at(random.standard_normal(size))
-            if np.min(factors[: self._designed]) > 0.0:
+            if (factors := at(random.standard_normal(size))) is not None:
                 left -= 1
                 yield tuple(zip(self.names, factors.tolist(), strict=True))
 

@@ -179,11 +179,11 @@ def test_estimate_that_may_have_the_other_sign_is_refused() -> None:
     assert "identify again" in caught.value.remedy
 
 
-@pytest.mark.parametrize("size", range(1, 7))
-def test_draw_with_the_other_sign_beyond_the_region_is_drawn_again(size: int) -> None:
-    """A CAD value with a deviation of 27 % is below zero in one of 9,000 draws."""
+@pytest.mark.parametrize("size", range(1, 9))
+def test_points_at_which_a_parameter_has_the_other_sign_are_left_out(size: int) -> None:
+    """A CAD value with a deviation of 27 % is below zero in one of 9,000 draws, and where the region of eight ends."""
     values, draws = np.arange(1.0, size + 1.0), 10_000
-    known = Estimated(tuple("abcdef"[:size]), values, np.diag((0.27 * values) ** 2), draws)
+    known = Estimated(tuple("abcdefgh"[:size]), values, np.diag((0.27 * values) ** 2), draws)
     factors = np.array([[factor for _, factor in each] for each in known.points()])[-draws:]
     assert factors.min() > 0.0
     assert np.std(factors, axis=0) == pytest.approx(np.full(size, 0.27), rel=0.03)
