@@ -79,7 +79,8 @@ class LinearEffects:
             for shift in filter(None, (_pade(delay), _lag(lag))):
                 A, B = _shifted(A, B, rows, _as_states(variable, states, plant), shift)
         seen = np.pad(seen, ((0, 0), (0, len(A) - len(states))))
-        return replace(plant, A=A, B=B, C=plant.C @ seen, measured=seen)
+        shown = seen if plant.measured is None else plant.measured @ seen
+        return replace(plant, A=A, B=B, C=plant.C @ seen, measured=shown)
 
 
 class CommandEffects:

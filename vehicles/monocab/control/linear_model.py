@@ -110,6 +110,23 @@ def reduced_model(parameters: MonocabParameters) -> StateSpace:
     )
 
 
+def model_with_speed_loop(parameters: MonocabParameters) -> StateSpace:
+    """The reduced model with the gimbals' speed loop as the full one has it, which a controller that was designed for
+    one lag does not know: it sees the first three states."""
+    full = full_model(parameters)
+    kept = [full.states.index(name) for name in full.states if not name.startswith("trim") and name != "precession"]
+    place = full.inputs.index("precession_rate_setpoint")
+    return StateSpace(
+        A=full.A[np.ix_(kept, kept)],
+        B=full.B[kept, place : place + 1],
+        C=full.C[:1, kept],
+        states=tuple(full.states[each] for each in kept),
+        inputs=full.inputs[place : place + 1],
+        outputs=full.outputs[:1],
+        measured=np.eye(3, len(kept)),
+    )
+
+
 def full_model(parameters: MonocabParameters) -> StateSpace:
     """The model with trim mass and precession angle. Equation (1), its z_M being minus `trim_height`.
 
