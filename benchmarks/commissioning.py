@@ -100,7 +100,7 @@ def every(seconds: int, fault: str) -> tuple[str, ...]:
 def slower(file: VehicleFile) -> VehicleFile:
     """With less bandwidth of both controllers, as the step `full` advises with so late setpoints."""
     assert isinstance(file, MonocabFile)
-    weights = {"controller": 4.0, "full_controller": 8.0}
+    weights = {"controller": 4.0, "full_controller": 7.0}
     sections = {key: getattr(file, key).model_copy(update={"effort_weight": w}) for key, w in weights.items()}
     return file.model_copy(update=sections)
 
@@ -111,7 +111,7 @@ WHOLE = (
     (Defect("Coulomb friction"), ["disturbance=8,0.3", "coulomb_friction"]),
     (Defect("viscous friction"), ["disturbance=8,0.3", "viscous_friction"]),
     (Defect("delay of the setpoints, weights as shipped"), ["disturbance=8,0.3", "input_delay"]),
-    (Defect("delay of the setpoints, effort_weight = 4 and 8", file=slower), ["disturbance=8,0.3", "input_delay"]),
+    (Defect("delay of the setpoints, effort_weight = 4 and 7", file=slower), ["disturbance=8,0.3", "input_delay"]),
 )
 DEFECTS = (
     Defect("gyro in rad/s, file says deg/s", truth=of_imu(angular_rate_unit="rad/s")),

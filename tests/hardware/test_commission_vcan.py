@@ -41,7 +41,7 @@ SHORTER = {
 """s, of experiments that are longer than is needed to show that they run in real time."""
 SHAKEN = ("--hide", "disturbance=8,0.3")
 HIDDEN = ("", "coulomb_friction", "viscous_friction", "input_delay")
-SLOWER = {"input_delay": (4.0, 8.0)}
+SLOWER = {"input_delay": (4.0, 7.0)}
 """`effort_weight` of the reduced and of the full controller, as the step `full` advises: with setpoints 12 ms late, the
 vehicle would swing in the sweep with the weights as shipped, and the full controller's margins be too small."""
 
