@@ -31,12 +31,13 @@ from upright.simulation.faults import parse_faults
 from upright.simulation.vehicle import VirtualVehicle
 from upright.vehicles.commissioning import Entry, State, is_within
 from upright.vehicles.file import load
-from upright.vehicles.monocab.file import MonocabFile
 from upright.vehicles.sections import VehicleFile
 
 SEED = 700
 """Of the sensors' noise and of the disturbance. No limit of a step was chosen with it."""
 Change = Callable[[VehicleFile], VehicleFile]
+FILES = tempfile.TemporaryDirectory()
+"""Of vehicle files that are not shipped."""
 SHOWN = {
     "trim": ("trim_effect",),
     "effects": ("effects_found", "innovation_ratio"),
@@ -98,11 +99,12 @@ def every(seconds: int, fault: str) -> tuple[str, ...]:
 
 
 def slower(file: VehicleFile) -> VehicleFile:
-    """With less bandwidth of both controllers, as the step `full` advises with so late setpoints."""
-    assert isinstance(file, MonocabFile)
-    weights = {"controller": 4.0, "full_controller": 7.0}
-    sections = {key: getattr(file, key).model_copy(update={"effort_weight": w}) for key, w in weights.items()}
-    return file.model_copy(update=sections)
+    """With less bandwidth of both controllers, as the step `full` advises with so late setpoints. It is a file on disk,
+    since the steps that design and identify read it there."""
+    text = Path(file.path).read_text().replace("effort_weight = 1.0 ", "effort_weight = 4.0 ", 1)
+    path = Path(FILES.name) / "slower.toml"
+    path.write_text(f"{text}\n[full_controller]\neffort_weight = 7.0\n")
+    return load(str(path))
 
 
 WHOLE = (
