@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from model_files import BUMP
 
 from upright.models.compiler.equations import compose
 from upright.models.file.allowed_code import allow, sha256
@@ -15,28 +16,6 @@ from upright.models.parts import ModelError
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 MONOCAB = get("monocab_reduced")
-GOOD = """
-name = "rail_bump"
-family = "stiffness"
-title = "a dent in the rail head"
-place = "joint"
-force = "-torque * exp(-(coordinate / width) ** 2)"
-confused_with = ["position_cogging"]
-
-[[parameters]]
-name = "torque"
-unit = "{force}"
-meaning = "at the dent"
-amplitude = true
-scale = "force_scale"
-
-[[parameters]]
-name = "width"
-unit = "{coordinate}"
-meaning = "of the dent"
-value = 0.002
-scale = "coordinate_scale / 20"
-"""
 
 
 def _file(folder: Path, text: str, name: str = "own.toml") -> Path:
@@ -46,7 +25,7 @@ def _file(folder: Path, text: str, name: str = "own.toml") -> Path:
 
 
 def test_effect_from_a_toml_file_works_beside_the_catalogues(tmp_path: Path) -> None:
-    effect = load_effect(_file(tmp_path, GOOD))
+    effect = load_effect(_file(tmp_path, BUMP))
     assert effect.equation == "force = -torque * exp(-(coordinate / width) ** 2)"
     model = MONOCAB.add(effect).add("coulomb_friction")
     assert model.values["rail_bump.width"] == 0.002
@@ -57,7 +36,7 @@ def test_effect_from_a_toml_file_works_beside_the_catalogues(tmp_path: Path) -> 
 
 
 def test_key_of_an_earlier_version_is_accepted(tmp_path: Path) -> None:
-    assert load_effect(_file(tmp_path, "strikes = true\n" + GOOD)).impacts
+    assert load_effect(_file(tmp_path, "strikes = true\n" + BUMP)).impacts
 
 
 def test_example_in_the_manual_is_a_valid_effect(tmp_path: Path) -> None:
@@ -67,7 +46,7 @@ def test_example_in_the_manual_is_a_valid_effect(tmp_path: Path) -> None:
 
 
 def test_effect_from_a_toml_file_can_have_states(tmp_path: Path) -> None:
-    memory = GOOD.replace("coordinate / width", "z / width") + (
+    memory = BUMP.replace("coordinate / width", "z / width") + (
         '[[states]]\nname = "z"\nunit = "{coordinate}"\nderivative = "(coordinate - z) / 0.5 + 0 * force"\n'
     )
     model = MONOCAB.add(load_effect(_file(tmp_path, memory)))
@@ -157,8 +136,8 @@ def test_list_of_allowed_files_that_others_can_write_does_not_count(
 def test_invalid_effect_file_is_refused_with_file_key_and_remedy(
     tmp_path: Path, old: str, new: str, where: str, what: str
 ) -> None:
-    assert old in GOOD
-    path = _file(tmp_path, GOOD.replace(old, new, 1))
+    assert old in BUMP
+    path = _file(tmp_path, BUMP.replace(old, new, 1))
     with pytest.raises(ModelError, match=what) as caught:
         load_effect(path)
     assert str(path) in caught.value.where
@@ -167,7 +146,7 @@ def test_invalid_effect_file_is_refused_with_file_key_and_remedy(
 
 
 def test_parameters_that_are_not_a_list_of_tables_are_refused(tmp_path: Path) -> None:
-    text = GOOD.split("[[parameters]]")[0] + 'parameters = ["torque"]\n'
+    text = BUMP.split("[[parameters]]")[0] + 'parameters = ["torque"]\n'
     with pytest.raises(ModelError, match="is not a list of tables"):
         load_effect(_file(tmp_path, text))
 

@@ -92,17 +92,20 @@ family = "stiffness"
 title = "a dent in the rail head"
 place = "joint"
 force = "-torque * exp(-(coordinate / width) ** 2)"
+confused_with = ["position_cogging"]
+
 [[parameters]]
 name = "torque"
 unit = "{force}"
 meaning = "at the dent"
 amplitude = true
 scale = "force_scale"
+
 [[parameters]]
 name = "width"
 unit = "{coordinate}"
 meaning = "of the dent"
-value = "coordinate_scale / 4"
+value = 0.002
 scale = "coordinate_scale / 20"
 """
 

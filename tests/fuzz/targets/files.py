@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
+from model_files import BUMP
 
 from fuzz.mutation import anything, exchanged, mutated
 from fuzz.target import Target, of_file
@@ -127,26 +128,7 @@ def check_model(path: Path) -> None:
 
 # Effects of one's own
 
-EFFECT = b"""name = "rail_bump"
-family = "stiffness"
-title = "a dent in the rail head"
-place = "joint"
-force = "-torque * exp(-(coordinate / width) ** 2)"
-
-[[parameters]]
-name = "torque"
-unit = "{force}"
-meaning = "at the dent"
-amplitude = true
-scale = "force_scale"
-
-[[parameters]]
-name = "width"
-unit = "{coordinate}"
-meaning = "of the dent"
-value = "coordinate_scale / 4"
-scale = "coordinate_scale / 20"
-"""
+EFFECT = BUMP.encode()
 
 
 def check_effect(path: Path) -> None:
