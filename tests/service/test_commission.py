@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from typer.testing import CliRunner
 
 from upright.service.cli import app
 from upright.service.commission.evaluations import at_rest, course, drives
-from upright.service.commission.evaluations.results import with_best_drives
+from upright.service.commission.evaluations.results import designed, with_best_drives
 from upright.service.commission.evidence import Evidence, Found
 from upright.service.commission.guide import Guide
 from upright.service.control.clients.api import ApiError
@@ -368,6 +369,38 @@ class TestCommandLine:
 
 def of_drives(std: float | None) -> dict[str, Any]:
     return {"domain": "drives", "parameters": {"speed_loop_lag": {"value": 0.04, "std": std, "unit": "s"}}}
+
+
+class TestDesigned:
+    """The step that designs: its numbers, and what is said of the real speed loop."""
+
+    def found(self, folder: Path, behind: dict[str, Any] | None) -> Found:
+        result = folder / "result.json"
+        result.write_text(json.dumps({"best": "b", "methods": {"b": {"domain": "time", "parameters": {}}}}))
+        margins = {"gain_margin": [0.12, 10.3], "phase_margin": 1.07, "delay_margin": 0.041}
+        document = {
+            "how": "as told",
+            "controllers": {"reduced": {**margins, "behind_speed_loop": behind}, "full": margins},
+            "expected": [],
+        }
+        stand_in: Any = SimpleNamespace(
+            at=lambda suffix: folder / f"step{suffix}",
+            results={"sweep": result},
+            model=None,
+            upright=lambda words: document,
+        )
+        return designed(stand_in)
+
+    def test_margins_are_numbers_and_those_with_the_speed_loop_are_said(self, tmp_path: Path) -> None:
+        behind = {"gain_margin": [0.12, 1.13], "phase_margin": 0.209, "delay_margin": 0.005}
+        found = self.found(tmp_path, behind)
+        assert found.numbers["reduced_gain_margin"].value == pytest.approx(20.26, abs=0.01)
+        assert found.numbers["full_delay_margin"].value == pytest.approx(41.0)
+        said = "reduced controller with a speed loop by the symmetric optimum: gain margin 1.1 dB, phase margin 12 deg,"
+        assert found.text == ["as told", f"{said} delay 5 ms"]
+
+    def test_a_loop_that_is_not_stable_is_said_in_capitals(self, tmp_path: Path) -> None:
+        assert self.found(tmp_path, None).text[1].endswith("symmetric optimum: NOT STABLE")
 
 
 class TestBestDrives:
