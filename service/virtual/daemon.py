@@ -21,8 +21,6 @@ from upright.vehicles.sections import VehicleFile
 
 READY_TIMEOUT = 30.0
 """s for the drives to be set up and the roll filter to settle. What is not ready then, an interlock names."""
-
-
 LEASE = 2.0
 """s, the longest that a vehicle file may have. The vehicle waits for the daemon: a terminal that a busy computer holds
 up for half a second endangers nothing."""

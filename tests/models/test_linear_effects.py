@@ -164,20 +164,20 @@ class TestCommand:
         bare = np.linalg.solve(20.0j * np.eye(len(alone.A)) - alone.A, alone.B)[0, 0]
         assert found / bare == pytest.approx(np.exp(-0.24j), abs=1e-4)
 
-    def test_margins_behind_the_speed_loop_say_with_which_delay_the_loop_is_not_stable(self) -> None:
+    def test_margins_with_the_speed_loop_say_with_which_delay_the_loop_is_not_stable(self) -> None:
         def with_delay(delay: float) -> RollDesign:
             late = replace(MONOCAB_ROLL, actuators_model=self.gimbals("input_delay", delay=delay))
             return design(VEHICLE, known=known(Together.of(late)))
 
-        bare = with_delay(0.0).behind_loop
+        bare = with_delay(0.0).with_speed_loop
         assert bare is not None
         assert bare.delay < 0.3 * design(VEHICLE).margins["precession_rate_setpoint"].delay
-        less = with_delay(0.9 * bare.delay).behind_loop
+        less = with_delay(0.9 * bare.delay).with_speed_loop
         assert less is not None
         assert less.delay == pytest.approx(0.1 * bare.delay, abs=2e-4)
         more = with_delay(1.1 * bare.delay)
-        assert more.behind_loop is None
-        assert more.findings()["behind_speed_loop"] is None
+        assert more.with_speed_loop is None
+        assert more.findings()["with_speed_loop"] is None
         assert "symmetric optimum: NOT STABLE" in more.words()[1]
 
     def test_they_are_in_margins_and_worst_corner(self) -> None:

@@ -374,13 +374,13 @@ def of_drives(std: float | None) -> dict[str, Any]:
 class TestDesigned:
     """The step that designs: its numbers, and what is said of the real speed loop."""
 
-    def found(self, folder: Path, behind: dict[str, Any] | None) -> Found:
+    def found(self, folder: Path, with_loop: dict[str, Any] | None) -> Found:
         result = folder / "result.json"
         result.write_text(json.dumps({"best": "b", "methods": {"b": {"domain": "time", "parameters": {}}}}))
         margins = {"gain_margin": [0.12, 10.3], "phase_margin": 1.07, "delay_margin": 0.041}
         document = {
             "how": "as told",
-            "controllers": {"reduced": {**margins, "behind_speed_loop": behind}, "full": margins},
+            "controllers": {"reduced": {**margins, "with_speed_loop": with_loop}, "full": margins},
             "expected": [],
         }
         stand_in: Any = SimpleNamespace(
@@ -392,8 +392,8 @@ class TestDesigned:
         return designed(stand_in)
 
     def test_margins_are_numbers_and_those_with_the_speed_loop_are_said(self, tmp_path: Path) -> None:
-        behind = {"gain_margin": [0.12, 1.13], "phase_margin": 0.209, "delay_margin": 0.005}
-        found = self.found(tmp_path, behind)
+        with_loop = {"gain_margin": [0.12, 1.13], "phase_margin": 0.209, "delay_margin": 0.005}
+        found = self.found(tmp_path, with_loop)
         assert found.numbers["reduced_gain_margin"].value == pytest.approx(20.26, abs=0.01)
         assert found.numbers["full_delay_margin"].value == pytest.approx(41.0)
         said = "reduced controller with a speed loop by the symmetric optimum: gain margin 1.1 dB, phase margin 12 deg,"

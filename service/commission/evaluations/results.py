@@ -71,12 +71,12 @@ def designed(evidence: Evidence) -> Found:
         }
     close = [f"{each['name']}: {each['broken']}" for each in document["expected"] if each["broken"] and each["largest"]]
     numbers["too_close"] = Number(value=float(len(close)))
-    behind = [
-        f"{name} controller with a speed loop by the symmetric optimum: {_margins(each['behind_speed_loop'])}"
+    with_loop = [
+        f"{name} controller with a speed loop by the symmetric optimum: {_margins(each['with_speed_loop'])}"
         for name, each in document["controllers"].items()
-        if "behind_speed_loop" in each
+        if "with_speed_loop" in each
     ]
-    return Found(numbers, [document["how"], *behind, *close], [merged, result], result)
+    return Found(numbers, [document["how"], *with_loop, *close], [merged, result], result)
 
 
 def _margins(found: Mapping[str, Any] | None) -> str:

@@ -21,28 +21,28 @@ UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")
 class RollDesign(CheckedDesign):
     """A roll controller with its checks, and the `parameters` for which it was designed.
 
-    It is designed and checked with one lag in place of the speed loop, as in the paper. `behind_loop` are its margins
-    with the speed loop that a drive has by the symmetric optimum, which is later at high frequencies; None if the
-    closed loop is not stable with it.
+    It is designed and checked with one lag in place of the speed loop, as in the paper. `with_speed_loop` are its
+    margins with the speed loop that a drive has by the symmetric optimum, which is later at high frequencies; None if
+    the closed loop is not stable with it.
     """
 
     parameters: MonocabParameters
-    behind_loop: Margins | None
+    with_speed_loop: Margins | None
 
     def findings(self) -> dict[str, Any]:
-        """As of CheckedDesign, with `behind_speed_loop`: the margins with the speed loop by the symmetric optimum, null
+        """As of CheckedDesign, with `with_speed_loop`: the margins with the speed loop by the symmetric optimum, null
         if the closed loop is not stable with it."""
-        found = self.behind_loop
-        behind = found and {
+        found = self.with_speed_loop
+        margins = found and {
             "gain_margin": [found.gain_decrease, found.gain_increase],
             "phase_margin": found.phase,
             "delay_margin": found.delay,
         }
-        return CheckedDesign.findings(self) | {"behind_speed_loop": behind}
+        return CheckedDesign.findings(self) | {"with_speed_loop": margins}
 
     def words(self, name: str = "") -> list[str]:
         """As of CheckedDesign, with a line for the speed loop by the symmetric optimum."""
-        found = self.behind_loop
+        found = self.with_speed_loop
         what = (
             "NOT STABLE"
             if found is None
@@ -72,5 +72,5 @@ def design_roll_controller(
     found = checked_design(lambda factors: reduced_model(parameters.scaled(factors)), uncertain, weights, period)
     plant = uncertain.plant(lambda factors: model_with_speed_loop(parameters.scaled(factors)), {})
     poles = continuous_poles(closed_loop(plant, found.gains), period)
-    (behind,) = margins(plant, found.gains).values() if max(pole.real for pole in poles) < 0.0 else (None,)
-    return RollDesign(found.gains, found.poles, found.margins, found.worst, found.within, parameters, behind)
+    (with_loop,) = margins(plant, found.gains).values() if max(pole.real for pole in poles) < 0.0 else (None,)
+    return RollDesign(found.gains, found.poles, found.margins, found.worst, found.within, parameters, with_loop)
