@@ -11,6 +11,7 @@ without one, and with hidden effects; every number of the steps that end it. Wit
 from __future__ import annotations
 
 import argparse
+import atexit
 import os
 import tempfile
 import time
@@ -36,8 +37,6 @@ from upright.vehicles.sections import VehicleFile
 SEED = 700
 """Of the sensors' noise and of the disturbance. No limit of a step was chosen with it."""
 Change = Callable[[VehicleFile], VehicleFile]
-FILES = tempfile.TemporaryDirectory()
-"""Of vehicle files that are not shipped."""
 SHOWN = {
     "trim": ("trim_effect",),
     "effects": ("effects_found", "innovation_ratio"),
@@ -99,11 +98,12 @@ def every(seconds: int, fault: str) -> tuple[str, ...]:
 
 
 def slower(file: VehicleFile) -> VehicleFile:
-    """With less bandwidth of both controllers, as the step `full` advises with so late setpoints. It is a file on disk,
-    since the steps that design and identify read it there."""
-    text = Path(file.path).read_text().replace("effort_weight = 1.0 ", "effort_weight = 4.0 ", 1)
-    path = Path(FILES.name) / "slower.toml"
-    path.write_text(f"{text}\n[full_controller]\neffort_weight = 7.0\n")
+    """With less bandwidth of the full controller, as the step `full` advises with so late setpoints. It is a file on
+    disk, since the steps that design and identify read it there."""
+    folder = tempfile.TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    path = Path(folder.name) / "slower.toml"
+    path.write_text(f"{Path(file.path).read_text()}\n[full_controller]\neffort_weight = 7.0\n")
     return load(str(path))
 
 
@@ -113,7 +113,7 @@ WHOLE = (
     (Defect("Coulomb friction"), ["disturbance=8,0.3", "coulomb_friction"]),
     (Defect("viscous friction"), ["disturbance=8,0.3", "viscous_friction"]),
     (Defect("delay of the setpoints, weights as shipped"), ["disturbance=8,0.3", "input_delay"]),
-    (Defect("delay of the setpoints, effort_weight = 4 and 7", file=slower), ["disturbance=8,0.3", "input_delay"]),
+    (Defect("delay of the setpoints, effort_weight = 7", file=slower), ["disturbance=8,0.3", "input_delay"]),
 )
 DEFECTS = (
     Defect("gyro in rad/s, file says deg/s", truth=of_imu(angular_rate_unit="rad/s")),

@@ -24,7 +24,7 @@ from upright.vehicles.monocab.control.roll_design import UNCERTAIN, design_roll_
 
 CAD = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
 TRUTH = replace(CAD, inertia=1795.0, gravity_stiffness=14500.0)
-WEIGHTS = LqiWeights((4.0e3, 1.0e2, 0.0), (4.0e4,), (1.0,))
+WEIGHTS = LqiWeights((4.0e3, 1.0e2, 0.0, 0.0, 0.0), (4.0e4,), (4.0,))
 RATES = (100, 250, 500)
 
 
@@ -36,10 +36,12 @@ def simulate(parameters: MonocabParameters, gains: LqiGains, seconds: float, del
     """Roll over time after a start at 0.01 rad, by plain recursion: independent of the design's matrices."""
     model = reduced_model(parameters)
     A, B = discretise(model.A, model.B, gains.period)
-    x, q, previous, in_transit = np.array([0.01, 0.0, 0.0]), 0.0, 0.0, [0.0] * delay
-    rolls = []
+    x, q, previous, in_transit = np.array([0.01, 0.0, 0.0, 0.0, 0.0]), 0.0, 0.0, [0.0] * delay
+    rolls, computed, own = [], gains.computed, np.zeros(3)  # rate, acceleration and jerk as the controller has them
+    assert computed is not None
     for _ in range(round(seconds / gains.period)):
-        u = -float(gains.matrix[0] @ [*x, previous, q])
+        u = -float(gains.matrix[0] @ [*x[:3], *own[1:], previous, q])
+        own = computed.transition @ own + computed.inputs[:, 0] * previous
         q += gains.period * x[0]
         previous = u
         in_transit.append(u)
@@ -81,7 +83,7 @@ def test_constant_torque_leaves_no_steady_state_roll_error() -> None:
     matrix = closed_loop(reduced_model(TRUTH), gains)
     model = reduced_model(TRUTH)
     torque = np.zeros(len(matrix))
-    torque[:3] = discretise(model.A, np.array([[0.0], [550.0 / TRUTH.inertia], [0.0]]), 0.004)[1][:, 0]
+    torque[:5] = discretise(model.A, np.array([[0.0, 550.0 / TRUTH.inertia, 0.0, 0.0, 0.0]]).T, 0.004)[1][:, 0]
     steady = np.linalg.solve(np.eye(len(matrix)) - matrix, torque)
     assert steady[0] == pytest.approx(0.0, abs=1e-12)
     assert steady[2] == pytest.approx(-550.0 / 3300.0)
@@ -131,9 +133,9 @@ def test_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) -> N
 
 
 def test_controller_unstable_at_a_corner_is_refused_and_the_corner_named() -> None:
-    aggressive = LqiWeights((4.0e8, 1.0e6, 0.0), (4.0e8,), (1.0,))
+    aggressive = LqiWeights((4.0e8, 1.0e6, 0.0, 0.0, 0.0), (4.0e8,), (1.0,))
     with pytest.raises(
-        ControlDesignError, match=r"inertia x 0[.]8, gravity_stiffness x 0[.]8, speed_loop_lag x 0[.]8"
+        ControlDesignError, match=r"inertia x 0[.]8, gravity_stiffness x 0[.]8, speed_loop_lag x 1[.]2"
     ) as caught:
         design_roll_controller(CAD, aggressive, 0.02, spread=0.2)
     assert "effort_weight" in caught.value.remedy
@@ -167,7 +169,7 @@ def test_correlated_estimates_are_off_together() -> None:
 
 
 def test_controller_that_estimates_do_not_support_is_refused_with_the_point() -> None:
-    aggressive = LqiWeights((4.0e8, 1.0e6, 0.0), (4.0e8,), (1.0,))
+    aggressive = LqiWeights((4.0e8, 1.0e6, 0.0, 0.0, 0.0), (4.0e8,), (1.0,))
     with pytest.raises(ControlDesignError, match=r"unstable within the estimates' 95 % region.*inertia x") as caught:
         checked_design(_at, estimated(0.08), aggressive, 0.02)
     assert "effort_weight" in caught.value.remedy
@@ -210,10 +212,10 @@ def test_design_without_angular_momentum_is_refused_with_the_unstable_mode() -> 
 
 def test_weights_of_zero_are_refused_with_a_remedy() -> None:
     with pytest.raises(ControlDesignError) as caught:
-        design_lqi(reduced_model(CAD), LqiWeights((0.0, 0.0, 0.0), (0.0,), (0.0,)), 0.004)
+        design_lqi(reduced_model(CAD), LqiWeights((0.0,) * 5, (0.0,), (0.0,)), 0.004)
     assert "[controller]" in caught.value.remedy
 
 
 def test_wrong_number_of_weights_is_refused() -> None:
-    with pytest.raises(ValueError, match="2, 1 and 1 weights for 3 states"):
+    with pytest.raises(ValueError, match="2, 1 and 1 weights for 5 states"):
         design_lqi(reduced_model(CAD), LqiWeights((1.0, 1.0), (1.0,), (1.0,)), 0.004)

@@ -196,5 +196,5 @@ class TestFigure4:
         assert not found["true"].adequate
         assert found["drag"].adequate
         for channel in ("precession", "trim_position"):
-            assert found["true"].closed_loop.over_floor(channel) > 2.0
-            assert found["drag"].closed_loop.over_floor(channel) < 1.5
+            assert found["drag"].closed_loop.over_floor(channel) < 1.0
+            assert found["true"].closed_loop.over_floor(channel) > 2.5 * found["drag"].closed_loop.over_floor(channel)

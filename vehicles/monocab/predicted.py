@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from math import degrees, expm1, radians
+from math import degrees, radians
 
 from upright.diagnosis.prediction.actuator_motion import ActuatorMotion, motion_of
 from upright.diagnosis.prediction.closed_loop import Controller, Experiment, Limit
@@ -16,9 +16,10 @@ from upright.models.gravity import GRAVITY
 from upright.models.model import Model
 from upright.vehicles.experiment.excitation import Excitation, ExcitationError, make_excitation
 from upright.vehicles.monocab.control.controller import RollController, design
-from upright.vehicles.monocab.control.full import FullController, FullState, full_if_used, speed_loops
+from upright.vehicles.monocab.control.full import FullController, FullState, full_if_used
 from upright.vehicles.monocab.control.linear_model import MonocabParameters
 from upright.vehicles.monocab.control.roll_design import RollDesign
+from upright.vehicles.monocab.control.speed_loop import speed_loops
 from upright.vehicles.monocab.file import FULL, MonocabFile
 from upright.vehicles.monocab.gimbals import COMMAND
 from upright.vehicles.monocab.handling import entering
@@ -156,9 +157,9 @@ def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation, model
     controller = RollController.from_design(gains, vehicle)
     period = vehicle.period
     lags = gains.parameters.speed_loop_lag, gains.parameters.trim_lag
-    follows, trim_follows = (-expm1(-period / lag) for lag in lags)
+    speed_loop, trim = (SpeedLoopSteps(lag, 0.0, 0.0, period, 0.0) for lag in lags)
     rate = precession = before = trim_rate = trim_position = 0.0
-    gimbals = _gimbals(model, excitation, period, lambda setpoint: rate + follows * (setpoint - rate))
+    gimbals = _gimbals(model, excitation, period, lambda setpoint: speed_loop.step(setpoint, 0.0))
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal rate, precession, before, trim_rate, trim_position
@@ -169,7 +170,7 @@ def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation, model
         after = gimbals(setpoint, seen)
         precession += 0.5 * period * (rate + after)
         rate = after
-        trim_after = trim_rate + trim_follows * (of_trim - trim_rate)
+        trim_after = trim.step(of_trim, 0.0)
         trim_position += 0.5 * period * (trim_rate + trim_after)
         trim_rate = trim_after
         slope, before = (setpoint - before) / period, setpoint

@@ -71,19 +71,7 @@ def designed(evidence: Evidence) -> Found:
         }
     close = [f"{each['name']}: {each['broken']}" for each in document["expected"] if each["broken"] and each["largest"]]
     numbers["too_close"] = Number(value=float(len(close)))
-    with_loop = [
-        f"{name} controller with a speed loop by the symmetric optimum: {_margins(each['with_speed_loop'])}"
-        for name, each in document["controllers"].items()
-        if "with_speed_loop" in each
-    ]
-    return Found(numbers, [document["how"], *with_loop, *close], [merged, result], result)
-
-
-def _margins(found: Mapping[str, Any] | None) -> str:
-    if found is None:
-        return "NOT STABLE"
-    gain, phase, delay = found["gain_margin"][1], found["phase_margin"], found["delay_margin"]
-    return f"gain margin {20.0 * log10(gain):.1f} dB, phase margin {degrees(phase):.0f} deg, delay {1e3 * delay:.0f} ms"
+    return Found(numbers, [document["how"], *close], [merged, result], result)
 
 
 def with_best_drives(documents: list[dict[str, Any]]) -> dict[str, Any]:

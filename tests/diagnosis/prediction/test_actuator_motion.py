@@ -18,10 +18,14 @@ from upright.service.virtual.run import record
 from upright.telemetry.recording import Recording
 from upright.vehicles import registry
 from upright.vehicles.file import load
+from upright.vehicles.monocab.control.controller import design
+from upright.vehicles.monocab.file import MonocabFile
 from upright.vehicles.monocab.gimbals import COMMAND, MONOCAB_GIMBALS, MONOCAB_GIMBALS_LAG
 from upright.vehicles.monocab.model import MONOCAB_ROLL
 
-VEHICLE = load("monocab")
+SHIPPED = load("monocab")
+assert isinstance(SHIPPED, MonocabFile)
+VEHICLE: MonocabFile = SHIPPED
 PERIOD, LAG = 0.004, 0.04
 
 
@@ -127,6 +131,7 @@ class TestClosedLoop:
         assert moved[2] > 1.003 * moved[1] > 1.006 * moved[0]
 
     def test_delay_with_which_the_vehicle_swings_is_predicted_to_come_too_close_to_a_limit(self) -> None:
-        model = replace(registry.nominal_model("monocab"), actuators_model=gimbals("input_delay", delay=0.012))
+        late = 1.2 * design(VEHICLE).margins["precession_rate_setpoint"].delay
+        model = replace(registry.nominal_model("monocab"), actuators_model=gimbals("input_delay", delay=late))
         found = simulate(model, registry.of("monocab").prediction().of(VEHICLE)("sweep"))
         assert "precession_rate_setpoint would reach" in found.broken

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upright.models.control_design.lqi import LqiGains
+from upright.models.control_design.lqi import Computed, LqiGains, closed_loop, discretise
+from upright.vehicles.commissioning import steps_of
 from upright.vehicles.file import load
 from upright.vehicles.monocab.control.controller import PrecessionReturn, RollController, SetpointLimits, design
-from upright.vehicles.monocab.control.linear_model import MonocabParameters
+from upright.vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
-GAINS = LqiGains(((100.0, 16.0, 1.0),), ((0.1,),), ((180.0,),), 0.004)
+COMPUTED = Computed(np.zeros((3, 3)), np.zeros((3, 1)), (2, 3, 4), (3, 4))
+GAINS = LqiGains(((100.0, 16.0, 1.0, 0.0, 0.0),), ((0.1,),), ((180.0,),), 0.004, COMPUTED)
 LIMITS = SetpointLimits(rate=1.0, acceleration=40.0)
 PARAMETERS = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
 DT = 0.004
@@ -76,7 +79,7 @@ def test_anti_windup_keeps_a_long_saturation_from_delaying_recovery() -> None:
 
 def test_integral_term_is_the_integral_of_the_error_within_the_limits() -> None:
     """With all other gains at zero, the setpoint after n cycles of a constant error e is -k_i e dt (n - 1)."""
-    gains = LqiGains(((0.0, 0.0, 0.0),), ((0.0,),), ((180.0,),), DT)
+    gains = LqiGains(((0.0,) * 5,), ((0.0,),), ((180.0,),), DT, COMPUTED)
     subject = RollController(gains, LIMITS, PrecessionReturn(PARAMETERS, 0.0, 0.04))
     for _ in range(100):
         subject.step(0.0005, 0.0, 0.0, 0.0, 0.0, DT)
@@ -137,3 +140,37 @@ def test_controller_of_the_shipped_file_saturates_at_its_rate_limit() -> None:
     for _ in range(200):
         subject.step(1.0, 0.0, 0.0, 0.0, 0.0, vehicle.period)
     assert subject.setpoint == -vehicle.limits.precession_rate
+
+
+def test_closed_loop_matrix_agrees_with_a_recursion_of_plant_and_controller() -> None:
+    """The plant differs from the model of the design, so that the computed accelerations do, too."""
+    vehicle = load("monocab")
+    found = design(vehicle)
+    subject = RollController.from_design(found, vehicle)
+    subject.lean_on = False
+    plant = reduced_model(MonocabParameters(1700.0, 12600.0, 3300.0, 0.045, 500.0, 0.4))
+    A, B = discretise(plant.A, plant.B, vehicle.period)
+    matrix = closed_loop(plant, found.gains)
+    x, sent, state, rolls, expected = np.zeros(5), 0.0, np.zeros(len(matrix)), [], []
+    x[0] = state[0] = 1e-5  # far from every limit
+    for _ in range(400):
+        subject.step(x[0], x[1], x[2], 0.0, 0.0, vehicle.period)
+        x, sent = A @ x + B[:, 0] * sent, subject.setpoint
+        state = matrix @ state
+        rolls.append(x[0])
+        expected.append(state[0])
+    np.testing.assert_allclose(rolls, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_margins_as_shipped_are_those_that_the_commissioning_accepts() -> None:
+    steps = {each.id: each for each in steps_of("monocab").step}
+    (found,) = design(load("monocab")).margins.values()
+    is_there = {
+        "reduced_phase_margin": math.degrees(found.phase),
+        "reduced_gain_margin": 20.0 * math.log10(found.gain_increase),
+        "reduced_delay_margin": 1e3 * found.delay,
+    }
+    assert {each.quantity for each in steps["reduced"].acceptance} == set(is_there)
+    for each in steps["reduced"].acceptance:
+        assert each.least is not None
+        assert is_there[each.quantity] > 1.4 * each.least

@@ -25,8 +25,9 @@ from upright.vehicles import registry
 from upright.vehicles.experiment.excitation import ExcitationError, make_excitation
 from upright.vehicles.experiment.phases import Phase
 from upright.vehicles.file import load
-from upright.vehicles.monocab.control.full import FullController, FullState, SpeedLoop, design_full
+from upright.vehicles.monocab.control.full import FullController, FullState, design_full
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model
+from upright.vehicles.monocab.control.speed_loop import SpeedLoop
 from upright.vehicles.monocab.file import FULL, MonocabFile
 from upright.vehicles.monocab.kind import Monocab
 from upright.vehicles.monocab.model import MONOCAB_ROLL

@@ -39,7 +39,7 @@ def test_constant_precession_rate_holds_roll_at_the_torque_balance_angle() -> No
     model = reduced_model(PARAMETERS)
     rate = 0.1
     roll = -3300.0 * rate / 14500.0
-    derivative = model.A @ np.array([roll, 0.0, rate]) + model.B[:, 0] * rate
+    derivative = model.A @ np.array([roll, 0.0, rate, 0.0, 0.0]) + model.B[:, 0] * rate
     assert np.allclose(derivative, 0.0)
 
 
@@ -76,8 +76,8 @@ def test_speed_loops_of_the_full_model_are_those_of_the_symmetric_optimum() -> N
 def test_static_torque_with_roll_at_zero_requires_a_constant_precession_rate() -> None:
     """The reason why the reduced model omits the precession angle, and why only a lean brings the gimbals back."""
     model = reduced_model(PARAMETERS)
-    static_torque = np.array([0.0, 50.0 / 1650.0, 0.0])
-    _, _, precession_rate, setpoint = np.linalg.solve(
+    static_torque = np.array([0.0, 50.0 / 1650.0, 0.0, 0.0, 0.0])
+    _, _, precession_rate, _, _, setpoint = np.linalg.solve(
         np.block([[model.A, model.B], [model.C, np.zeros((1, 1))]]), -np.append(static_torque, 0.0)
     )
     assert precession_rate == setpoint == pytest.approx(-50.0 / 3300.0)

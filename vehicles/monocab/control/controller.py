@@ -3,7 +3,10 @@
 Inner loop, one step per control cycle (gains from `models.control_design.lqi`):
 
     setpoint = -(k_roll * (roll - reference) + k_rate * roll_rate + k_precession * precession_rate
+                 + k_acceleration * precession acceleration + k_jerk * its derivative
                  + k_previous * setpoint before + k_integral * q) + excitation,        q' = roll - reference
+
+The acceleration in the gimbals' speed loop and its derivative are computed from the setpoints (control.speed_loop).
 
 Outer loop: the gyroscopes give torque only while they precess, and the reduced LQI does not see the precession angle,
 so a static torque would turn the gimbals to their stops. Leaning by `reference` gives, in the steady state of
@@ -31,6 +34,7 @@ from upright.models.control_design.lqi import LqiGains, LqiWeights
 from upright.models.control_design.robustness import Known
 from upright.vehicles.monocab.control.linear_model import MonocabParameters
 from upright.vehicles.monocab.control.roll_design import RollDesign, design_roll_controller
+from upright.vehicles.monocab.control.speed_loop import speed_loops
 from upright.vehicles.monocab.file import MonocabFile
 
 WINDUP_TIME = 0.1
@@ -52,9 +56,8 @@ def design(vehicle: MonocabFile, *, spread: float = 0.2, known: Known | None = N
     Raises ControlDesignError; see `models.control_design.lqi`.
     """
     section = vehicle.controller
-    weights = LqiWeights(
-        (section.roll_weight, section.roll_rate_weight, 0.0), (section.integral_weight,), (section.effort_weight,)
-    )
+    of_states = (section.roll_weight, section.roll_rate_weight, 0.0, 0.0, 0.0)
+    weights = LqiWeights(of_states, (section.integral_weight,), (section.effort_weight,))
     parameters = MonocabParameters.from_values(vehicle.parameters.values)
     return design_roll_controller(parameters, weights, vehicle.period, spread=spread, known=known)
 
@@ -108,8 +111,11 @@ class RollController:
 
     __slots__ = (
         "_acceleration",
+        "_acceleration_gain",
+        "_gimbals",
         "_integral",
         "_integral_gain",
+        "_jerk_gain",
         "_precession_gain",
         "_previous_gain",
         "_rate",
@@ -123,12 +129,15 @@ class RollController:
     )
 
     def __init__(self, gains: LqiGains, limits: SetpointLimits, precession_return: PrecessionReturn) -> None:
-        ((self._roll_gain, self._rate_gain, self._precession_gain),) = gains.states
+        ((self._roll_gain, self._rate_gain, self._precession_gain, self._acceleration_gain, self._jerk_gain),) = (
+            gains.states
+        )
         ((self._previous_gain,),) = gains.previous
         ((self._integral_gain,),) = gains.integral
         self._rate = limits.rate
         self._acceleration = limits.acceleration
         self._return = precession_return
+        (self._gimbals,) = speed_loops(gains)
         self.reset(0.0)
 
     @classmethod
@@ -151,6 +160,7 @@ class RollController:
         """
         self._integral = 0.0
         self._return.reset()
+        self._gimbals.begin(setpoint)
         self.setpoint = setpoint
         self.reference = 0.0
         self.limited = False
@@ -160,6 +170,7 @@ class RollController:
         """Take over from another controller of a vehicle that is upright: the setpoint it sent last (rad/s) would be
         sent again."""
         self.reset(setpoint)
+        self._gimbals.begin(precession_rate)
         held = self._roll_gain * roll + self._rate_gain * roll_rate + self._precession_gain * precession_rate
         self._integral = -(setpoint + held + self._previous_gain * setpoint) / self._integral_gain
 
@@ -182,14 +193,17 @@ class RollController:
             reference += self._return.step(precession, dt)
         self.reference = reference
         error = roll - reference
-        before = self.setpoint
+        before, gimbals = self.setpoint, self._gimbals
         wanted = excitation - (
             self._roll_gain * error
             + self._rate_gain * roll_rate
             + self._precession_gain * precession_rate
+            + self._acceleration_gain * gimbals.acceleration
+            + self._jerk_gain * gimbals.jerk
             + self._previous_gain * before
             + self._integral_gain * self._integral
         )
+        gimbals.step(before)
         change = self._acceleration * dt
         setpoint = wanted
         if setpoint > before + change:

@@ -9,8 +9,8 @@ the vehicle stands upright with its gimbals in the middle under any static torqu
 bring the gimbals back, the trim mass moves beyond that place first. Source: Griese et al., equation (1), section II and
 figure 4; the design is models.control_design.lqi.
 
-No drive reports the acceleration in its speed loop, so the controller computes it from its setpoints. Designed with one
-lag in place of each speed loop, it oscillated at 8 Hz on the virtual vehicle: at that frequency the loop by the
+No drive reports the acceleration in its speed loop, so the controller computes it (control.speed_loop). Designed with
+one lag in place of each speed loop, it oscillated at 8 Hz on the virtual vehicle: at that frequency the loop by the
 symmetric optimum is 135 deg late, a lag of the same time constant 63 deg.
 
 The reduced controller has no use for the trim mass, so each hands over to the other with the setpoints that the drives
@@ -21,7 +21,6 @@ Signs: see `vehicles.monocab.control.linear_model`. Angles in rad, rates in rad/
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from operator import mul
@@ -33,6 +32,7 @@ from upright.models.control_design.robustness import CheckedDesign, Known, Sprea
 from upright.vehicles.monocab.control.controller import WINDUP_TIME, SetpointLimits
 from upright.vehicles.monocab.control.linear_model import MonocabParameters, full_model
 from upright.vehicles.monocab.control.roll_design import UNCERTAIN
+from upright.vehicles.monocab.control.speed_loop import speed_loops
 from upright.vehicles.monocab.file import MonocabFile
 
 TRAVEL = 0.9
@@ -81,41 +81,6 @@ def full_if_used(vehicle: MonocabFile) -> CheckedDesign | ControlDesignError | N
         return design_full(vehicle) if vehicle.full_experiments else None
     except ControlDesignError as error:
         return error
-
-
-class SpeedLoop:
-    """The speed loop of one axis, as the controller computes it from its own setpoints."""
-
-    __slots__ = ("_rows", "acceleration", "jerk", "rate")
-
-    def __init__(self, transition: Sequence[Sequence[float]], inputs: Sequence[float]) -> None:
-        """Over one period: `transition` (3, 3) of [rate, acceleration, jerk], and `inputs` (3,) of the setpoint."""
-        self._rows = tuple((*row, own) for row, own in zip(transition, inputs, strict=True))
-        self.begin(0.0)
-
-    def begin(self, rate: float) -> None:
-        """The axis moves steadily at `rate`."""
-        self.rate = rate
-        self.acceleration = self.jerk = 0.0
-
-    def step(self, setpoint: float) -> None:
-        """One period later; `setpoint` is the one that acts in it."""
-        rate, acceleration, jerk = self.rate, self.acceleration, self.jerk
-        self.rate, self.acceleration, self.jerk = (
-            of_rate * rate + of_acceleration * acceleration + of_jerk * jerk + own * setpoint
-            for of_rate, of_acceleration, of_jerk, own in self._rows
-        )
-
-
-def speed_loops(gains: LqiGains) -> tuple[SpeedLoop, SpeedLoop]:
-    """Those of trim mass and gimbals, at rest, as a controller with these gains computes them."""
-    computed = gains.computed
-    assert computed is not None
-    trim, gimbals = (
-        SpeedLoop(computed.transition[part, part].tolist(), computed.inputs[part, number].tolist())
-        for number, part in enumerate((slice(0, 3), slice(3, 6)))
-    )
-    return trim, gimbals
 
 
 @dataclass(frozen=True, slots=True)

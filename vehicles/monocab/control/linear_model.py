@@ -88,31 +88,12 @@ class MonocabParameters:
 
 
 def reduced_model(parameters: MonocabParameters) -> StateSpace:
-    """The model the roll controller is designed on: trim mass at rest, precession angle left out. Equation (2).
+    """The model the roll controller is designed on: trim mass at rest, precession angle left out. Equation (2), with
+    the speed loop of the full model in place of one lag.
 
     The precession angle is not controllable independently of the roll angle: with roll at rest the gyroscopes can only
     give the torque that balances a static disturbance.
     """
-    inertia, lag = parameters.inertia, parameters.speed_loop_lag
-    return StateSpace(
-        A=np.array(
-            [
-                [0.0, 1.0, 0.0],
-                [parameters.gravity_stiffness / inertia, 0.0, parameters.angular_momentum / inertia],
-                [0.0, 0.0, -1.0 / lag],
-            ]
-        ),
-        B=np.array([[0.0], [0.0], [1.0 / lag]]),
-        C=np.array([[1.0, 0.0, 0.0]]),
-        states=("roll", "roll_rate", "precession_rate"),
-        inputs=("precession_rate_setpoint",),
-        outputs=("roll",),
-    )
-
-
-def model_with_speed_loop(parameters: MonocabParameters) -> StateSpace:
-    """The reduced model with the gimbals' speed loop as the full one has it, which a controller that was designed for
-    one lag does not know: it sees the first three states."""
     full = full_model(parameters)
     kept = [full.states.index(name) for name in full.states if not name.startswith("trim") and name != "precession"]
     place = full.inputs.index("precession_rate_setpoint")
@@ -123,7 +104,7 @@ def model_with_speed_loop(parameters: MonocabParameters) -> StateSpace:
         states=tuple(full.states[each] for each in kept),
         inputs=full.inputs[place : place + 1],
         outputs=full.outputs[:1],
-        measured=np.eye(3, len(kept)),
+        computed=tuple(name for name in full.computed if not name.startswith("trim")),
     )
 
 
