@@ -15,6 +15,8 @@ import pyarrow as pa
 import pyarrow.feather
 import pyarrow.parquet
 
+from upright.telemetry.tables.wanted import Wanted
+
 RATE = 100
 COUNT = 600
 TIME = np.arange(COUNT) / RATE
@@ -24,6 +26,7 @@ RATES = np.round(np.gradient(ANGLE, TIME), 6)
 EPOCH = 1_709_294_400
 """2024-03-01 12:00:00 UTC."""
 HEADER = ("time", "voltage", "angle")
+WANTED = (Wanted("voltage", "V", held=True), Wanted("angle", "rad", measured=True))
 ROWS = [(f"{t:.4f}", f"{u:.4f}", f"{a:.6f}") for t, u, a in zip(TIME, VOLTAGE, ANGLE, strict=True)]
 
 
