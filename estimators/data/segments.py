@@ -293,12 +293,14 @@ def _fresh(recording: Recording, age: str) -> NDArray[np.bool_]:
 
 def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_], span: float) -> None:
     """Checks that an angle changes by the integral of its rate over `span` s, which is short compared with a record but
-    long enough for the motion to exceed the noise."""
+    long enough for the motion to exceed the noise. Across a gap the integral is not known."""
     values, rates, time = recording[angle], recording[rate], recording.time
     ahead = max(1, round(span * recording.rate))
     if ahead >= len(values):
         return
+    joined = np.diff(time) <= LONGEST_GAP / recording.rate
     whole = np.convolve(free, np.ones(ahead + 1), "valid") > ahead
+    whole &= np.convolve(joined, np.ones(ahead), "valid") > ahead - 1
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
     moved, expected = (values[ahead:] - values[:-ahead])[whole], (turned[ahead:] - turned[:-ahead])[whole]
     if len(moved) < SHORTEST or not np.all(np.isfinite(expected)) or np.std(expected) == 0.0 or np.std(moved) == 0.0:

@@ -107,12 +107,10 @@ class TestVirtualGimbals:
             assert estimate.std == pytest.approx(1.2e-3, rel=0.1)
             assert abs(estimate.value - level * hidden) < 2.0 * estimate.std
 
-    def test_delay_is_found_although_it_makes_the_vehicle_swing(self) -> None:
-        """Setpoints of 1 rad/s at 5 Hz, which the drives, with a ramp of 31.4 rad/s^2, follow over several samples."""
+    def test_delay_is_found_with_its_size(self) -> None:
         found = gimbals_of("input_delay=2.0")
         assert found.verdict is Verdict.MISSING_EFFECT
         assert found.steps[0].model.name == "monocab_gimbals"
-        assert found.steps[0].model.inputs[1].ramp == pytest.approx(30_000.0 / 60.0 / 100.0 * 2.0 * np.pi, rel=2e-3)
         (finding,) = found.findings
         assert finding.effect == "input_delay"
         assert finding.tied_with == ()

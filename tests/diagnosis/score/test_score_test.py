@@ -143,18 +143,26 @@ class TestAmplitudes:
 class TestPairs:
     NAMES = ("gimbal_imbalance", "load_dependent_friction", "static_torque", "viscous_friction")
 
+    def workspace(self) -> Workspace:
+        return Workspace.of(MODEL, clean()[0].recordings, VEHICLE.support, self.NAMES)
+
+    def unit(self, name: str) -> np.ndarray:
+        """What an effect of one standard error does to the innovations."""
+        (candidate,) = (each for each in self.workspace().candidates if each.name == name)
+        innovations = clean()[1]
+        with_it = self.workspace().problem(attached(MODEL, [candidate]))
+        moved = project(innovations.directions(with_it, candidate.amplitudes[:1], {}), innovations.nuisance)[:, 0]
+        return moved / np.linalg.norm(moved)
+
+    def along(self) -> float:
+        """How far the first two effects do the same, -1 to 1."""
+        one, other = self.NAMES[:2]
+        return float(self.unit(one) @ self.unit(other))
+
     def look(self, sizes: Mapping[str, float]) -> ScoreTest:
         """The score test of white innovations plus `sizes` of effects, in the standard errors that each has alone."""
-        task, innovations = clean()
-        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, self.NAMES)
-        noise = white(seed=5)
-        seen = noise.residual.copy()
-        for each in workspace.candidates:
-            if each.name in sizes:
-                task_with_it = workspace.problem(attached(MODEL, [each]))
-                moved = innovations.directions(task_with_it, each.amplitudes[:1], {})
-                moved = project(moved, innovations.nuisance)[:, 0]
-                seen += sizes[each.name] * moved / np.linalg.norm(moved)
+        workspace, noise = self.workspace(), white(seed=5)
+        seen = noise.residual + sum(size * self.unit(name) for name, size in sizes.items())
         return score_test(
             replace(noise, residual=seen),
             lambda group: workspace.problem(attached(MODEL, group)),
@@ -163,19 +171,16 @@ class TestPairs:
 
     def test_two_effects_that_cancel_each_other_are_significant_as_a_pair(self) -> None:
         one, other = self.NAMES[:2]
-        nothing = self.look({})
-        along = float((nothing.bases[one].T @ nothing.bases[other]).item())
         # One effect partly cancels the other.
-        assert abs(along) > 0.5
-        found = self.look({one: -8.0 * np.sign(along), other: 8.0})
+        assert abs(self.along()) > 0.5
+        found = self.look({one: -8.0 * np.sign(self.along()), other: 8.0})
         assert {each.name for each in found.pairs[0].candidates} == {one, other}
         alone = min(score.p_value for score in found.scores if score.candidate.name in (one, other))
         assert found.pairs[0].p_value < 1e-3 * alone
 
     def test_pair_with_physically_impossible_signs_is_excluded(self) -> None:
         one, other = self.NAMES[:2]
-        along = float((self.look({}).bases[one].T @ self.look({}).bases[other]).item())
-        pairs = self.look({one: 8.0 * np.sign(along), other: -8.0}).pairs
+        pairs = self.look({one: 8.0 * np.sign(self.along()), other: -8.0}).pairs
         assert all({each.name for each in pair.candidates} != {one, other} for pair in pairs)
 
     def test_white_noise_has_no_significant_pair(self) -> None:

@@ -82,9 +82,9 @@ def test_comparison_reproduces_the_findings_of_the_paper(document: dict[str, Any
             entry = methods[name]["parameters"][parameter]
             # All 9 are within 3.2 standard deviations with a probability of 98.8 %.
             assert abs(entry["value"] - true) < 3.2 * entry["std"], (name, parameter)
-    # Bias by noise on the roll acceleration: 9 % measured over seeds 1 to 4, scatter 0.4 %.
+    # Bias by noise on the roll acceleration: 14 % measured with four sets of seeds, scatter 0.3 %.
     biased = methods["least_squares"]["parameters"]["inertia"]
-    assert 0.05 < 1.0 - biased["value"] / TRUTH["inertia"] < 0.13
+    assert 0.10 < 1.0 - biased["value"] / TRUTH["inertia"] < 0.18
     assert TRUTH["inertia"] - biased["value"] > 5.0 * biased["std"]
     assert (
         methods["instrumental_variables"]["fit_percent"]["roll"] > methods["least_squares"]["fit_percent"]["roll"] + 5.0
