@@ -7,8 +7,9 @@ for as if it had not been found, until no name changes (`swap`): a floating sear
 "Floating search methods in feature selection", 1994).
 
 If effects are removed one at a time, an effect that has the parameters of two is never compared with these two:
-friction that differs between the directions, with dry friction and a static torque. So an effect that combines two is
-split (`split`), and two are merged (`merge`), for one cause is likelier than two: of M effects there are more pairs
+friction that differs between the directions, with dry friction and a static torque. Nor is one that imitates two so
+well that it leaves too little for a second name. So one is split in two (`split`), where it combines them or the scores
+promise more of two, and two are merged (`merge`), for one cause is likelier than two: of M effects there are more pairs
 than single ones, and each number of effects has the same prior probability (Chen, Chen, "Extended Bayesian information
 criteria", 2008).
 
@@ -70,7 +71,7 @@ def swap(now: Explanation, how: Search) -> Explanation:
         how.progress(f"looking for {oldest.effect} again, with the others in the model", turn / turns)
         without = remembered(whole.model.remove(oldest.effect), workspace)
         beside = replace(how, found=tuple(found))
-        new = _again(Named(oldest, replace(whole, candidate=_candidate(oldest, workspace))), without, beside)
+        new = _again(Named(oldest, replace(whole, candidate=_candidate(oldest.effect, workspace))), without, beside)
         if isinstance(new, Named):
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
@@ -90,7 +91,8 @@ def swap(now: Explanation, how: Search) -> Explanation:
 
 
 def split(now: Explanation, how: Search) -> Explanation:
-    """`now` with two effects in place of one that combines them, if the evidence for two is sufficient.
+    """`now` with two effects in place of one that combines them, or that had to explain what two do, if the evidence for
+    two is sufficient.
 
     Whatever the two are, each is searched for as in `swap`: with a static torque in the model, plain dry friction may
     not be missing.
@@ -98,16 +100,41 @@ def split(now: Explanation, how: Search) -> Explanation:
     workspace = how.workspace
     for made in now.findings if len(now.findings) < how.most else ():
         parts = parts_of(made, now.findings, workspace)
-        if not parts:
+        if parts:
+            start = with_effect(now.fit.model.remove(made.effect), parts[0], parts[0].variants[0])
+            first = tried(partial(full, start, workspace, parts[0]))
+        else:
+            first = _promising(made, now, workspace)
+        if first is None:
             continue
         how.progress(f"splitting {made.effect} in two", 0.97)
         others = tuple(each for each in now.findings if each is not made)
-        first = parts[0]
-        start = with_effect(now.fit.model.remove(made.effect), first, first.variants[0])
-        two = _two(full(start, workspace, first), first, how, but=made.effect)
+        two = _two(first, how, but=made.effect)
         if two is not None and two_are_likelier(two.fit, now.fit, len(now.findings), workspace):
             return swap(replace(two, findings=(*others, *two.findings)), how)
     return now
+
+
+def _promising(made: Finding, now: Explanation, workspace: Workspace) -> FullFit | None:
+    """The fit, with one of those effects in place of `made` that were fitted beside it, to which the score of another
+    effect promises more than `made` explains; None if there is none.
+
+    Quadratic drag and dry friction together look like viscous friction; with that in the model too little of either is
+    left for a name. With quadratic drag in place of it, dry friction is what is missing most.
+    """
+    found = next((each for each in reversed(workspace.rounds) if each.named == made.effect), None)
+    without, best, most = now.fit.model.remove(made.effect), None, now.fit.log_likelihood
+    for each in found.passed if found else ():
+        if each.name == made.effect:
+            continue
+        candidate = _candidate(each.name, workspace)
+        fit = remembered(with_effect(without, candidate, candidate.variants[0]), workspace, candidate)
+        missing = max(look(fit, workspace).scores, key=lambda score: score.gain, default=None)
+        if missing is None or missing.candidate.name == made.effect:
+            continue
+        if (promised := fit.log_likelihood + missing.gain) > most:
+            best, most = fit, promised
+    return best
 
 
 def merge(now: Explanation, how: Search) -> Explanation:
@@ -169,12 +196,14 @@ def add_two(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | N
 
 
 def _both(start: Model, first: Candidate, how: Search) -> Explanation | None:
-    return _two(full(start, how.workspace, first), first, how)
+    return _two(full(start, how.workspace, first), how)
 
 
-def _two(with_first: FullFit, first: Candidate, how: Search, but: str = "") -> Explanation | None:
-    """The effect found with `first` in the model, and the one found in place of `first` with that one in the model;
-    None if one of them is not found, or is the effect `but`."""
+def _two(with_first: FullFit, how: Search, but: str = "") -> Explanation | None:
+    """The effect found beside the first one, whose fit is given, and the one found in place of the first with that one
+    in the model; None if one of them is not found, or is the effect `but`."""
+    first = with_first.candidate
+    assert first is not None
     one = _beside(with_first, how)
     if one is None or one.finding.effect == but:
         return None
@@ -209,12 +238,12 @@ def one_by_one(found: Explanation, workspace: Workspace) -> list[FullFit]:
     """The fit with the first of its effects, with the first two, and so on to the one with all of them."""
     fits = [found.fit] if found.findings else []
     for last, dropped in reversed(list(pairwise(found.findings))):
-        fits.insert(0, remembered(fits[0].model.remove(dropped.effect), workspace, _candidate(last, workspace)))
+        fits.insert(0, remembered(fits[0].model.remove(dropped.effect), workspace, _candidate(last.effect, workspace)))
     return fits
 
 
-def _candidate(finding: Finding, workspace: Workspace) -> Candidate:
-    return next(each for each in workspace.candidates if each.name == finding.effect)
+def _candidate(name: str, workspace: Workspace) -> Candidate:
+    return next(each for each in workspace.candidates if each.name == name)
 
 
 def _beside(base: FullFit, how: Search) -> Named | None:
