@@ -91,8 +91,8 @@ def swap(now: Explanation, how: Search) -> Explanation:
 
 
 def split(now: Explanation, how: Search) -> Explanation:
-    """`now` with two effects in place of one that combines them, or that had to explain what two do, if the evidence for
-    two is sufficient.
+    """`now` with two effects in place of one that combines them, or that had to explain what two do, if the evidence
+    for two is sufficient.
 
     Whatever the two are, each is searched for as in `swap`: with a static torque in the model, plain dry friction may
     not be missing.
