@@ -2,8 +2,9 @@
 
     share = (E without - E with) / E without
 
-E is the mean energy of the error, over that of the floor, some time ahead, and in a simulation of the closed loop; both
-models run through one filter, that of the best model's disturbance and the sensors' noise. A long record shows effects
+E is the mean energy of the error some time ahead, and in a simulation of the closed loop, each output over its floor,
+which is that of the last model for all; all models run through one filter, that of the best model's disturbance and the
+sensors' noise. A long record shows effects
 without which predictions and controllers would be as good: an effect that accounts for less than a percent of both
 errors is negligible.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from upright.diagnosis.lack_of_fit.floor import Innovations, floor, innovations, shaken_as
 from upright.diagnosis.prediction.ahead import errors, sensor_floors
@@ -70,7 +72,8 @@ def relevances(
     controller that closed the loop on each recording, or why that is not known."""
     seen = [_seen(each, best) for each in steps]
     reach = horizon(best.problem.model, best.problem.segments)
-    ahead = [None if each is None else _ahead(each, reach) for each in seen]
+    least = _least(seen[-1], reach) if seen else None
+    ahead = [None if each is None or least is None else _ahead(each, reach, least) for each in seen]
     looped = _looped(seen, owners, loops)
     found: list[Relevance | None] = []
     for place in range(1, len(steps)):
@@ -87,12 +90,16 @@ def _seen(fitted: Fit, best: Fit) -> Innovations | None:
         return None
 
 
-def _ahead(found: Innovations, reach: float) -> float | None:
-    """Mean energy of the error `reach` s ahead over that of a correct model, of all outputs."""
+def _least(found: Innovations | None, reach: float) -> NDArray[np.float64] | None:
+    """The floor of each output `reach` s ahead, (p,)."""
     try:
-        least = sensor_floors(found.fit, (reach,))[0]
+        return None if found is None else sensor_floors(found.fit, (reach,))[0]
     except EstimationError:
         return None
+
+
+def _ahead(found: Innovations, reach: float, least: NDArray[np.float64]) -> float | None:
+    """Mean energy of the error `reach` s ahead over that of `least`, of all outputs."""
     ahead = errors(found.fit, (reach,))[0]
     if not np.isfinite(ahead).any(axis=0).all():  # no segment is as long as that
         return None
