@@ -3,10 +3,9 @@
     share = (E without - E with) / E without
 
 E is the mean energy of the error some time ahead, and in a simulation of the closed loop, each output over its floor,
-which is that of the last model for all; all models run through one filter, that of the best model's disturbance and the
-sensors' noise. A long record shows effects
-without which predictions and controllers would be as good: an effect that accounts for less than a percent of both
-errors is negligible.
+which is that of the last model for all. All models run through one filter, that of the best model's disturbance and the
+sensors' noise. A long record shows effects without which predictions and controllers would be as good: an effect that
+accounts for less than a percent of both errors is negligible.
 """
 
 from __future__ import annotations
