@@ -15,6 +15,7 @@ from typing import Any
 import canopen
 import pytest
 from canopen.objectdictionary.datatypes import INTEGER32
+from cia402_drives import GIMBAL
 
 from upright.drivers.cia301.sdo_client import ATTEMPTS
 from upright.drivers.cia402.config import DriveConfig, DriveConfigError, find_eds
@@ -23,19 +24,7 @@ from upright.drivers.cia402.sdo import DriveSetupError, MissingNode
 from upright.drivers.cia402.setup import DriveReport, Supervision, configure
 from upright.drivers.cia402.states import State
 
-SERVO = DriveConfig(
-    name="trim",
-    role="trim",
-    node=3,
-    direction=1,
-    axis_per_turn=0.01,
-    mode=2,
-    increments_per_turn=65536,
-    velocity_unit_rpm=1 / 8192,
-    rated_torque=10.0,
-    rpdo=(("controlword", "target_velocity", "target_velocity_fine"),),
-    tpdo=(("statusword", "velocity_actual", "torque_actual"), ("position_actual",)),
-)
+SERVO = replace(GIMBAL, name="trim", role="trim", node=3, direction=1, axis_per_turn=0.01)
 SUPERVISION = Supervision(
     master_node=127, heartbeat_period=0.04, heartbeat_timeout=0.12, rpdo_timeout=0.02, cycle_period=0.004
 )

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from cia402_drives import GIMBAL
 from lock_step_network import LockStepNetwork
 from simulated_bus import GIMBAL_PER_TURN, drive_nodes
 
@@ -26,19 +27,7 @@ from upright.simulation.monocab.truth import PlantTruth
 SUPERVISION = Supervision(
     master_node=127, heartbeat_period=0.04, heartbeat_timeout=0.12, rpdo_timeout=0.02, cycle_period=0.004
 )
-DRIVE = DriveConfig(
-    name="gimbal_left",
-    role="gimbal",
-    node=1,
-    direction=1,
-    axis_per_turn=GIMBAL_PER_TURN,
-    mode=2,
-    increments_per_turn=65536,
-    velocity_unit_rpm=1 / 8192,
-    rated_torque=10.0,
-    rpdo=(("controlword", "target_velocity", "target_velocity_fine"),),
-    tpdo=(("statusword", "velocity_actual", "torque_actual"), ("position_actual",)),
-)
+DRIVE = replace(GIMBAL, name="gimbal_left", direction=1, axis_per_turn=GIMBAL_PER_TURN)
 OTHER_MAPPING = replace(DRIVE, tpdo=(("statusword", "position_actual"), ("velocity_actual", "torque_actual")))
 SET: tuple[Key, ...] = (
     *((0x1A00, place) for place in range(4)),

@@ -132,6 +132,27 @@ def test_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) -> N
     assert all(pole.real < 0.0 for pole in design.poles)
 
 
+@pytest.mark.parametrize(("effort", "phase", "gain", "unstable"), [(1.0, 12.0, 1.1, 4), (4.0, 51.0, 4.5, 0)])
+def test_design_with_one_lag_has_little_margin_with_the_whole_speed_loop(
+    effort: float, phase: float, gain: float, unstable: int
+) -> None:
+    """As in the paper; angles in deg, gains in dB. It sees the first three states of the real loop."""
+    inertia, lag = CAD.inertia, CAD.speed_loop_lag
+    A = np.array([[0.0, 1.0, 0.0], [CAD.gravity_stiffness / inertia, 0.0, 3300.0 / inertia], [0.0, 0.0, -1.0 / lag]])
+    B, C = np.array([[0.0], [0.0], [1.0 / lag]]), np.array([[1.0, 0.0, 0.0]])
+    of_paper = StateSpace(A, B, C, ("roll", "roll_rate", "precession_rate"), ("setpoint",), ("roll",))
+    gains = design_lqi(of_paper, LqiWeights(WEIGHTS.states[:3], WEIGHTS.integral, (effort,)), 0.004)
+
+    def real(factors: Mapping[str, float]) -> StateSpace:
+        return replace(_at(factors), measured=np.eye(3, 5), computed=())
+
+    (found,) = margins(real({}), gains).values()
+    assert np.degrees(found.phase) == pytest.approx(phase, abs=1.0)
+    assert 20.0 * np.log10(found.gain_increase) == pytest.approx(gain, abs=0.1)
+    every = corners(real, Spread(UNCERTAIN), gains)
+    assert len({corner.factors for corner in every if corner.slowest <= 0.0}) == unstable
+
+
 def test_controller_unstable_at_a_corner_is_refused_and_the_corner_named() -> None:
     aggressive = LqiWeights((4.0e8, 1.0e6, 0.0, 0.0, 0.0), (4.0e8,), (1.0,))
     with pytest.raises(

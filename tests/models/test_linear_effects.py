@@ -170,6 +170,9 @@ class TestCommand:
         before, after = (each.margins["precession_rate_setpoint"].delay for each in (bare, found))
         assert after == pytest.approx(before - 0.012, abs=5e-4)
         assert "gimbals.input_delay.delay" in dict(found.worst.factors)
+        (left,) = found.margins.values()
+        assert np.degrees(left.phase) == pytest.approx(37.0, abs=1.0)
+        assert 20.0 * np.log10(left.gain_increase) == pytest.approx(5.5, abs=0.2)
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.8, True), (1.2, False)])

@@ -30,8 +30,8 @@ MODEL = with_values(
     nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
 )
 COUPLING = 0.35
-"""Twice the minimum detectable coupling in 30 s of this excitation. The gimbals are away from zero in the first 3 s
-only."""
+"""A little more than twice the minimum detectable coupling in 30 s of this excitation. The gimbals are away from zero
+in the first 3 s only."""
 
 
 @pytest.fixture(scope="module")

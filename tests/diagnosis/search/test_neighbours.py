@@ -52,6 +52,16 @@ class TestTwoDrags:
         assert [len(each.model.effects) for each in found.steps] == [0, 1, 2]
         assert found.steps[-1].log_likelihood > found.steps[1].log_likelihood > found.steps[0].log_likelihood
 
+    def test_the_one_that_imitates_them_is_less_likely(self) -> None:
+        recording = record(
+            "monocab", "multisine", hide=("coulomb_friction=0.04", "quadratic_drag=0.1"), seed=31, duration=20.0
+        )
+        workspace = Workspace.of(MODEL, [recording], VEHICLE.support, DRAGS)
+        base, one = full(MODEL, workspace), full(MODEL.add("viscous_friction"), workspace)
+        two = full(MODEL.add("coulomb_friction").add("quadratic_drag"), workspace)
+        assert one.log_likelihood - base.log_likelihood == pytest.approx(109.0, abs=2.0)
+        assert two.log_likelihood - base.log_likelihood == pytest.approx(148.0, abs=2.0)
+
     def test_quadratic_drag_has_its_size_with_dry_friction_in_the_model(self, two_drags: Diagnosis) -> None:
         found = two_drags
         (drag,) = (each for each in found.findings if each.effect == "quadratic_drag")
