@@ -16,24 +16,20 @@ SHORTFALLS: dict[str, str] = {
     ),
     "stamps_zero": "stopped (imu_silent), expected: harmless or ended in order",
     # drives
-    "drive_mode_one": "detected after 76 ms, allowed: 50 ms",
-    "drive_mode_both": "detected after 80 ms, allowed: 50 ms",
-    "axis_stuck_one": "detected after 76 ms, allowed: 50 ms",
-    "axis_stuck_both": "detected after 76 ms, allowed: 50 ms",
-    "axis_half_one": "detected after 384 ms, allowed: 100 ms",
-    "axis_half_both": "detected after 128 ms, allowed: 100 ms",
-    "axis_double_both": "detected after 236 ms, allowed: 100 ms",
-    "axis_reversed_one": "detected after 52 ms, allowed: 50 ms",
-    "axis_runs_away_both": "detected after 52 ms, allowed: 50 ms",
-    "axis_creeps_both": "detected after 72 ms, allowed: 50 ms",
+    "drive_mode_one": "detected after 56 ms, allowed: 50 ms",
+    "drive_mode_both": "detected after 56 ms, allowed: 50 ms",
+    "axis_stuck_one": "detected after 56 ms, allowed: 50 ms",
+    "axis_stuck_both": "detected after 56 ms, allowed: 50 ms",
+    "axis_half_one": "detected after 104 ms, allowed: 100 ms",
+    "axis_creeps_both": "detected after 52 ms, allowed: 50 ms",
     "trim_runs_away": (
         "wrong reason: trim_position, expected gimbal_following or trim_following or wheel_following or heading"
     ),
-    "trim_creeps": "detected after 5284 ms, allowed: 100 ms",
-    "trim_sticks": "detected after 512 ms, allowed: 100 ms",
+    "trim_creeps": "detected after 2480 ms, allowed: 100 ms",
+    "trim_sticks": "detected after 460 ms, allowed: 100 ms",
     "battery_low": "stopped (drive_emergency), expected: ended in order",
     "drive_ramp_changed": (
-        "detected after 196 ms, allowed: 50 ms; hit the support at 15.8 deg/s, 13.0 deg/s with control switched off"
+        "detected after 168 ms, allowed: 50 ms; hit the support at 15.2 deg/s, 13.0 deg/s with control switched off"
     ),
     # bus
     "loss_sent_50": "detected after 204 ms, allowed: 100 ms",

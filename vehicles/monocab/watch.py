@@ -2,9 +2,9 @@
 gyro change by more than anything can accelerate the vehicle, and can the vehicle still be brought back upright?
 
 Axes. No speed loop within what is known of it explains a rate outside the band of their responses: twice the standard
-deviation of its lag, twice the reaction to the rolling vehicle in either direction, setpoints under way for no longer
-than its own lag, a tenth of error in its scale. The angle by which an axis has moved outside the band is added up, less
-what is forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
+deviation of its lag, twice the reaction to the rolling vehicle in either direction, setpoints that are late by up to
+twice that standard deviation, a tenth of error in its scale. The angle by which an axis has moved outside the band is
+added up, less what is forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
 
 Recovery. With the fastest precession, all that is left of the precession angle brings the unstable motion
 z = roll + roll_rate / pole back from no more than
@@ -61,7 +61,7 @@ class Following:
         self._reaction = 2.0 * reaction / period
         self._forgiven = FORGIVEN * rate
         self._period = period
-        self._latest = ON_THE_BUS + ceil(lag / period)
+        self._latest = ON_THE_BUS + ceil(DEVIATIONS * std / period)
         self.reset()
 
     def reset(self) -> None:

@@ -105,7 +105,7 @@ ARMED = [
     (axes(trim_position=-0.31), MonocabCode.TRIM_POSITION, ("-0.310 m", "0.300 m")),
     (axes(trim_rate=0.16), MonocabCode.TRIM_RATE, ("trim mass rate of 0.160 m/s", "0.150 m/s")),
     (axes(trim_position=NAN), Code.NOT_FINITE, ("trim",)),
-    (watched(gimbal_following=0.01), MonocabCode.GIMBAL_FOLLOWING, ("do not follow", "0.57 deg", "0.20 deg")),
+    (watched(gimbal_following=0.01), MonocabCode.GIMBAL_FOLLOWING, ("do not follow", "0.57 deg", "0.10 deg")),
     (field(late_cycles=7), Code.DEADLINE, ("7 control cycles", "4 ms")),
 ]
 UPRIGHT = [
