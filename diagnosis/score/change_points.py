@@ -107,14 +107,16 @@ def _gains(innovations: Whitened, full: Problem, responses: Sequence[Array], whi
 
 def _shifted(response: Array, others: Array) -> Array:
     """The products of `response` (rows, ny), shifted to begin at each sample, with each of `others` (rows, ny, m),
-    (rows, m)."""
-    from scipy.signal import correlate  # half a second of imports, which not every command needs
+    (rows, m): correlations, summed over the outputs as spectra."""
+    from scipy.fft import irfft, next_fast_len, rfft  # half a second of imports, which not every command needs
 
     rows = len(response)
-    found = [
-        sum(correlate(others[:, output, each], response[:, output])[rows - 1 :] for output in range(response.shape[1]))
-        for each in range(others.shape[2])
-    ]
+    size = next_fast_len(2 * rows - 1, real=True)
+    begun = np.conj(rfft(np.ascontiguousarray(response.T), size))
+    found = []
+    for each in range(others.shape[2]):
+        spectra = rfft(np.ascontiguousarray(others[:, :, each].T), size)
+        found.append(irfft(np.sum(begun * spectra, axis=0), size)[:rows])
     return np.stack(found, axis=1)
 
 

@@ -36,12 +36,16 @@ def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
     """Variance of the white noise on each column of `parts` (n, m), from fourth differences, (m,), and its degrees of
     freedom."""
     rough = np.concatenate([differences(part) for part in parts])
-    blocks = np.array_split(rough, max(1, len(rough) // ROWS))
-    known = [np.isfinite(block) for block in blocks]
-    sums = np.array([np.sum(block**2, axis=0, where=there) for block, there in zip(blocks, known, strict=True)])
-    counts = np.array([np.sum(there, axis=0) for there in known])
+    if not len(rough):
+        return np.full(rough.shape[1], np.nan), 0.0
+    blocks = max(1, len(rough) // ROWS)
+    longer = len(rough) % blocks  # of the blocks have one sample more than the others, as those of np.array_split
+    begins = np.arange(blocks) * (len(rough) // blocks) + np.minimum(np.arange(blocks), longer)
+    known = np.isfinite(rough)
+    sums = np.add.reduceat(np.where(known, rough, 0.0) ** 2, begins)
+    counts = np.add.reduceat(known.astype(np.int64), begins)
     powers = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)  # a block may be unknown as a whole
-    rows = len(rough) / len(blocks)
+    rows = len(rough) / blocks
     median = float(chi2_ppf(0.5, rows / SKEWNESS) / (rows / SKEWNESS))
     variance = np.nanmedian(powers, axis=0) / GAIN_OF_DIFFERENCES / median
-    return variance, len(rough) / CORRELATION / (LOSS_OF_MEDIAN if len(blocks) > 2 else 1.0)
+    return variance, len(rough) / CORRELATION / (LOSS_OF_MEDIAN if blocks > 2 else 1.0)

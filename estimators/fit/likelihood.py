@@ -117,9 +117,9 @@ class Likelihood:
             if unknown.any():
                 error[unknown], run.sensitivity[unknown] = 0.0, 0.0
             columns = run.sensitivity.reshape(len(error), -1)
-            _leave_out_runaways(columns)
+            products = _products(columns)
             squares += error.T @ error
-            moments.append((columns.T @ columns, columns.T @ error))
+            moments.append((products, columns.T @ error))
             ends.append((off / spread, by / spread[:, None]))
         covariance = _at_least(squares / task.rows + np.diag(self._floor), self._counted)
         # Each output in its own unit: a stuck wheel does not mean that the predictor diverges.
@@ -173,23 +173,22 @@ def _at_least(covariance: Array, least: Array) -> Array:
     return found
 
 
-def _leave_out_runaways(columns: Array) -> None:
-    """Set to zero the derivatives of a sample that alone has more than half of the sum of squares of a segment, in the
-    mean over its `columns` (n, ny * c). Repeated until there is none.
+def _products(columns: Array) -> Array:
+    """columns' columns, (ny * c, ny * c). A sample that alone has more than half of the sum of squares of a segment, in
+    the mean over its `columns` (n, ny * c), is set to zero. Repeated until there is none.
 
     Where parts collide, derivatives grow from impact to impact, now and then by more digits than a number has. They
     hold for changes far below any standard deviation, and in the products the other samples would be lost in rounding.
     """
-    sizes = np.einsum("ij,ij->i", columns, columns)
-    away = ~(sizes < np.finfo(np.float64).max / len(sizes))
     while True:
-        columns[away] = 0.0
-        total = np.einsum("ij,ij->j", columns, columns)
-        weights = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
-        shares = np.einsum("ij,ij,j->i", columns, columns, weights)
-        away = shares > 0.5 * float(np.sum(total > 0.0))
+        products = columns.T @ columns
+        total = np.diag(products)
+        there = total > 0.0
+        weights = np.divide(1.0, total, out=np.zeros_like(total), where=there)
+        away = np.einsum("ij,ij,j->i", columns, columns, weights) > 0.5 * np.count_nonzero(there)
         if not away.any():
-            return
+            return np.asarray(products)
+        columns[away] = 0.0
 
 
 def _weighted(products: Array, pull: Array, weights: Array, end: Array, by: Array, at_start: StationaryStart) -> Normal:
