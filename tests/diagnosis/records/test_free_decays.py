@@ -26,7 +26,7 @@ from upright.models.random.input_noise import noisy_inputs
 from upright.telemetry.recording import Recording
 from upright.telemetry.storage import load
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.timeout(300), pytest.mark.patient]
 
 
 def sizes(found: Diagnosis) -> dict[str, float | None]:

@@ -42,7 +42,7 @@ UNLISTED: dict[str, pendulum_plant.Missing] = {
     "damping on one side": lambda t, angle, rate: -0.4 * max(rate, 0.0),
 }
 
-pytestmark = pytest.mark.timeout(400)  # a diagnosis has 300 s
+pytestmark = [pytest.mark.timeout(400), pytest.mark.patient]  # a diagnosis has 300 s
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_early_command_is_not_reported_as_an_effect(early: float, model: Path, t
     assert named["parameters"]["coulomb_friction.torque"]["value"] == pytest.approx(sizes["torque"], rel=0.01)
 
 
-@pytest.mark.parametrize("effect", of_many(UNLISTED, "damping on one side"))
+@pytest.mark.parametrize("effect", of_many(UNLISTED, "cubic drag"))
 def test_effect_outside_the_catalogue_is_unknown(effect: str, model: Path, tmp_path: Path) -> None:
     found = diagnosed(model, tmp_path, UNLISTED[effect])
     assert found["verdict"] == "unknown"

@@ -44,7 +44,7 @@ WITHIN = 3.0
 CLOSED = 0.9
 """Share of the held-out error energy above the sensors', half a second ahead, that the added effect removes."""
 
-pytestmark = pytest.mark.timeout(400)  # a diagnosis has 300 s
+pytestmark = [pytest.mark.timeout(400), pytest.mark.patient]  # a diagnosis has 300 s
 
 
 def upright(*arguments: Any) -> Any:

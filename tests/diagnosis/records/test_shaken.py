@@ -36,6 +36,8 @@ from upright.telemetry.storage import load as load_recording
 from upright.vehicles.file import load
 from upright.vehicles.registry import nominal_model
 
+pytestmark = pytest.mark.patient
+
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(
     "static_torque"
