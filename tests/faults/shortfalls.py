@@ -25,8 +25,8 @@ SHORTFALLS: dict[str, str] = {
     "trim_runs_away": (
         "wrong reason: trim_position, expected gimbal_following or trim_following or wheel_following or heading"
     ),
-    "trim_creeps": "detected after 2480 ms, allowed: 100 ms",
-    "trim_sticks": "detected after 460 ms, allowed: 100 ms",
+    "trim_creeps": "detected after 2436 ms, allowed: 100 ms",
+    "trim_sticks": "detected after 452 ms, allowed: 100 ms",
     "battery_low": "stopped (drive_emergency), expected: ended in order",
     "drive_ramp_changed": (
         "detected after 168 ms, allowed: 50 ms; hit the support at 15.2 deg/s, 13.0 deg/s with control switched off"

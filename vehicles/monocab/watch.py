@@ -3,8 +3,8 @@ gyro change by more than anything can accelerate the vehicle, and can the vehicl
 
 Axes. No speed loop within what is known of it explains a rate outside the band of their responses: twice the standard
 deviation of its lag, twice the reaction to the rolling vehicle in either direction, setpoints that are late by up to
-twice that standard deviation, a tenth of error in its scale. The angle by which an axis has moved outside the band is
-added up, less what is forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
+half of the lag, a tenth of error in its scale. The angle by which an axis has moved outside the band is added up, less
+what is forgiven (a CUSUM: Page, Biometrika 41 (1954) 100).
 
 Recovery. With the fastest precession, all that is left of the precession angle brings the unstable motion
 z = roll + roll_rate / pole back from no more than
@@ -35,6 +35,9 @@ from upright.vehicles.watch import DEVIATIONS, SCALE, GyroJumps
 
 ON_THE_BUS = 2
 """Cycles from the one in which a setpoint is sent to the first in which a rate that follows it is read."""
+LATE = 0.5
+"""Share of its lag by which setpoints may be late: twice the small time constant, dead time included, that a speed loop
+by the symmetric optimum is tuned for (lag = 4 tau)."""
 FORGIVEN = 0.01
 """Share of the largest rate that an axis may be outside the band for ever: resolution and noise of the drive."""
 REACTION = 8.0 / 16.0
@@ -61,7 +64,7 @@ class Following:
         self._reaction = 2.0 * reaction / period
         self._forgiven = FORGIVEN * rate
         self._period = period
-        self._latest = ON_THE_BUS + ceil(DEVIATIONS * std / period)
+        self._latest = ON_THE_BUS + ceil(LATE * lag / period)
         self.reset()
 
     def reset(self) -> None:
