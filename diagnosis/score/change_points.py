@@ -108,7 +108,7 @@ def _gains(innovations: Whitened, full: Problem, responses: Sequence[Array], whi
 def _shifted(response: Array, others: Array) -> Array:
     """The products of `response` (rows, ny), shifted to begin at each sample, with each of `others` (rows, ny, m),
     (rows, m): correlations, summed over the outputs as spectra."""
-    from scipy.fft import irfft, next_fast_len, rfft  # half a second of imports, which not every command needs
+    from scipy.fft import irfft, next_fast_len, rfft  # imports that not every command needs
 
     rows = len(response)
     size = next_fast_len(2 * rows - 1, real=True)

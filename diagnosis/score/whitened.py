@@ -196,10 +196,7 @@ def orthonormal(columns: Array) -> Array:
 def project(columns: Array, nuisance: Array) -> Array:
     """`columns` (n or n + k, m) minus their projection on the basis of nuisances (n + k, p), k rows of priors last,
     (n + k, m)."""
-    found = np.zeros((len(nuisance), columns.shape[1]))
-    found[: len(columns)] = columns
-    found -= nuisance @ (nuisance.T @ found)
-    return found
+    return less(np.concatenate((columns, np.zeros((len(nuisance) - len(columns), columns.shape[1])))), nuisance)
 
 
 def less(columns: Array, basis: Array) -> Array:

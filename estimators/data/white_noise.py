@@ -34,12 +34,12 @@ def differences(signal: Array) -> Array:
 
 def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
     """Variance of the white noise on each column of `parts` (n, m), from fourth differences, (m,), and its degrees of
-    freedom."""
+    freedom; not a number, and 0, if no part has five samples."""
     rough = np.concatenate([differences(part) for part in parts])
     if not len(rough):
         return np.full(rough.shape[1], np.nan), 0.0
     blocks = max(1, len(rough) // ROWS)
-    longer = len(rough) % blocks  # of the blocks have one sample more than the others, as those of np.array_split
+    longer = len(rough) % blocks  # the first blocks, so many, have one sample more than the others
     begins = np.arange(blocks) * (len(rough) // blocks) + np.minimum(np.arange(blocks), longer)
     known = np.isfinite(rough)
     sums = np.add.reduceat(np.where(known, rough, 0.0) ** 2, begins)

@@ -174,8 +174,9 @@ def _at_least(covariance: Array, least: Array) -> Array:
 
 
 def _products(columns: Array) -> Array:
-    """columns' columns, (ny * c, ny * c). A sample that alone has more than half of the sum of squares of a segment, in
-    the mean over its `columns` (n, ny * c), is set to zero. Repeated until there is none.
+    """The products of all `columns` (n, ny * c) with each other, (ny * c, ny * c). A sample that alone has more than
+    half of the sum of squares of a segment, in the mean over the columns, is set to zero in place. Repeated until there
+    is none.
 
     Where parts collide, derivatives grow from impact to impact, now and then by more digits than a number has. They
     hold for changes far below any standard deviation, and in the products the other samples would be lost in rounding.

@@ -56,8 +56,8 @@ class MonocabLimits(LimitsSection):
     gimbal_following_deg: Annotated[
         float, up_to(5.0, "a gimbal that stands still would be found after the vehicle has fallen")
     ] = 0.1
-    """deg by which a gimbal may move otherwise than any likely speed loop would move it (see `watch`): the play of the
-    planetary gear of a servo drive, 6 minutes of arc."""
+    """deg by which a gimbal may move otherwise than any likely speed loop would move it (see `watch`): the play of a
+    planetary gear, 6 minutes of arc [assumed]."""
     trim_following: Annotated[float, up_to(0.1, "a trim mass that runs away would be found at its end stop")] = 0.002
     """m, the same of the trim mass."""
 
